@@ -1,0 +1,135 @@
+#include "proto/codec/convert.h"
+
+#include <google/protobuf/io/coded_stream.h>
+#include <google/protobuf/io/zero_copy_stream_impl_lite.h>
+
+#include <cmath>
+
+namespace trem {
+namespace {
+
+constexpr std::uint64_t kProtoArtefactBytesMax = 512ULL << 20;
+constexpr int kMosaicSideMax = 1 << 24;
+
+Status CheckNumbers(const google::protobuf::RepeatedField<double>& numbers, int expected, const char* field) {
+  if (numbers.size() != expected) {
+    return Corrupt(std::string(field) + " has " + std::to_string(numbers.size()) + " numbers; expected " + std::to_string(expected));
+  }
+  for (const double number : numbers) {
+    if (!std::isfinite(number)) return Corrupt(std::string(field) + " holds a number that is not finite");
+  }
+  return {};
+}
+
+}  // namespace
+
+v1::RoiMessage ToProto(const Roi& roi) {
+  v1::RoiMessage message;
+  message.set_x0(roi.x0);
+  message.set_y0(roi.y0);
+  message.set_x1(roi.x1);
+  message.set_y1(roi.y1);
+  return message;
+}
+
+Roi FromProto(const v1::RoiMessage& message) { return {message.x0(), message.y0(), message.x1(), message.y1()}; }
+
+v1::ArtefactRef ToProto(const ArtefactRef& ref) {
+  v1::ArtefactRef message;
+  message.set_name(ref.name);
+  message.set_sha256(ref.sha256);
+  message.set_bytes(ref.bytes);
+  return message;
+}
+
+ArtefactRef FromProto(const v1::ArtefactRef& message) { return {message.name(), message.sha256(), message.bytes()}; }
+
+v1::MosaicGridMessage ToProto(const MosaicGrid& grid) {
+  v1::MosaicGridMessage message;
+  message.set_crs_wkt(grid.crs_wkt);
+  message.set_origin_x(grid.origin_x);
+  message.set_origin_y(grid.origin_y);
+  message.set_gsd(grid.gsd);
+  message.set_width(static_cast<std::uint32_t>(grid.width));
+  message.set_height(static_cast<std::uint32_t>(grid.height));
+  message.set_tile_size(static_cast<std::uint32_t>(grid.tile_size));
+  return message;
+}
+
+Result<MosaicGrid> FromProto(const v1::MosaicGridMessage& message) {
+  if (!std::isfinite(message.origin_x()) || !std::isfinite(message.origin_y())) return Corrupt("grid.origin is not finite");
+  if (!(message.gsd() > 0.0) || !std::isfinite(message.gsd())) return Corrupt("grid.gsd is " + std::to_string(message.gsd()) + "; expected > 0");
+  if (message.width() < 1 || message.height() < 1 || message.width() > kMosaicSideMax || message.height() > kMosaicSideMax) {
+    return Corrupt("grid is " + std::to_string(message.width()) + " x " + std::to_string(message.height()) + " pixels; expected 1.." +
+                   std::to_string(kMosaicSideMax) + " a side");
+  }
+  if (message.tile_size() < 16 || message.tile_size() > 8192) {
+    return Corrupt("grid.tile_size is " + std::to_string(message.tile_size()) + "; expected 16..8192");
+  }
+  MosaicGrid grid;
+  grid.crs_wkt = message.crs_wkt();
+  grid.origin_x = message.origin_x();
+  grid.origin_y = message.origin_y();
+  grid.gsd = message.gsd();
+  grid.width = static_cast<int>(message.width());
+  grid.height = static_cast<int>(message.height());
+  grid.tile_size = static_cast<int>(message.tile_size());
+  return grid;
+}
+
+void ToProto(const Affine& affine, google::protobuf::RepeatedField<double>* numbers) {
+  numbers->Clear();
+  for (int row = 0; row < 2; ++row) {
+    numbers->Add(affine.linear(row, 0));
+    numbers->Add(affine.linear(row, 1));
+    numbers->Add(affine.offset(row));
+  }
+}
+
+void ToProto(const Homography& homography, google::protobuf::RepeatedField<double>* numbers) {
+  numbers->Clear();
+  for (int row = 0; row < 3; ++row) {
+    for (int column = 0; column < 3; ++column) numbers->Add(homography.matrix(row, column));
+  }
+}
+
+Result<Affine> AffineFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field) {
+  TREM_RETURN_IF_ERROR(CheckNumbers(numbers, 6, field));
+  Affine affine;
+  affine.linear << numbers[0], numbers[1], numbers[3], numbers[4];
+  affine.offset << numbers[2], numbers[5];
+  if (std::abs(affine.linear.determinant()) < 1e-12) return Corrupt(std::string(field) + " is singular");
+  return affine;
+}
+
+Result<Homography> HomographyFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field) {
+  TREM_RETURN_IF_ERROR(CheckNumbers(numbers, 9, field));
+  Homography homography;
+  for (int i = 0; i < 9; ++i) homography.matrix(i / 3, i % 3) = numbers[i];
+  return homography;
+}
+
+std::string SerializeDeterministic(const google::protobuf::Message& message) {
+  std::string bytes;
+  google::protobuf::io::StringOutputStream stream(&bytes);
+  google::protobuf::io::CodedOutputStream coded(&stream);
+  coded.SetSerializationDeterministic(true);
+  TREM_CHECK(message.SerializeToCodedStream(&coded));
+  coded.Trim();
+  return bytes;
+}
+
+Status ReadProtoArtefact(const ArtefactStore& store, const v1::ArtefactRef& ref, google::protobuf::Message* message) {
+  TREM_ASSIGN_OR_RETURN(const std::string bytes, store.ReadVerified(FromProto(ref), kProtoArtefactBytesMax));
+  if (!message->ParseFromString(bytes)) {
+    return Corrupt("artefact " + ref.name() + " (" + ref.sha256() + ") is not a " + message->GetDescriptor()->full_name());
+  }
+  return {};
+}
+
+Result<v1::ArtefactRef> PutProtoArtefact(const ArtefactStore& store, const std::string& name, const google::protobuf::Message& message) {
+  TREM_ASSIGN_OR_RETURN(const ArtefactRef ref, store.PutBytes(name, SerializeDeterministic(message)));
+  return ToProto(ref);
+}
+
+}  // namespace trem
