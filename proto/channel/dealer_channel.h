@@ -1,0 +1,39 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "mosaic/base/status.h"
+#include "proto/channel/router_channel.h"
+#include "proto/codec/envelope.h"
+
+namespace trem {
+
+// A worker's or client's end (DEALER). Reconnects by itself. All calls but Wake belong to the thread that made it.
+class DealerChannel {
+ public:
+  // `endpoint`: what RouterChannel::endpoint() says. Succeeds whether or not anybody listens there yet. Addresses other than ipc and IPv4
+  // loopback are refused: they would need keys.
+  static Result<std::unique_ptr<DealerChannel>> Connect(const std::string& endpoint, const ChannelOptions& options = {});
+  ~DealerChannel();
+
+  // kUnavailable when no connection stands within `timeout` (nothing is queued then). Ok means "on its way": a message can be lost when
+  // the connection breaks; what matters is acknowledged and resent by the caller.
+  Status Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout = std::chrono::milliseconds(0));
+  // The next message; nothing after `timeout`, a Wake or a signal. Errors as DecodeEnvelope; the channel stays usable.
+  Result<std::optional<v1::Envelope>> Receive(std::chrono::milliseconds timeout);
+  // Makes a running or the next Receive return. From any thread or signal handler.
+  void Wake() const;
+  // Messages that were not valid envelopes.
+  std::uint64_t garbage_count() const;
+
+ private:
+  struct State;
+  explicit DealerChannel(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace trem
