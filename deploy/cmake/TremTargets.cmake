@@ -13,7 +13,7 @@ function(trem_executable name)
 endfunction()
 
 # trem_test(NAME SOURCES... DEPS... [LABELS...] [TIMEOUT s] [ENVIRONMENT K=V...]): a GoogleTest program, one ctest entry per test case.
-# LABELS defaults to "unit", TIMEOUT to 60 seconds a case.
+# LABELS defaults to "unit", TIMEOUT to 60 seconds a case. Tests labelled "e2e" start processes that use every core: they run alone.
 function(trem_test name)
   cmake_parse_arguments(arg "" "TIMEOUT" "SOURCES;DEPS;LABELS;ENVIRONMENT" ${ARGN})
   if(NOT arg_TIMEOUT)
@@ -28,9 +28,13 @@ function(trem_test name)
   add_executable(${name} ${arg_SOURCES})
   target_link_libraries(${name} PRIVATE trem_flags ${arg_DEPS} GTest::gmock GTest::gtest_main)
   set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY "${CMAKE_BINARY_DIR}/tests")
+  set(serial FALSE)
+  if("e2e" IN_LIST arg_LABELS)
+    set(serial TRUE)
+  endif()
   include(GoogleTest)
   gtest_discover_tests(${name} DISCOVERY_MODE PRE_TEST
-    PROPERTIES LABELS "${arg_LABELS}" TIMEOUT ${arg_TIMEOUT} ENVIRONMENT "${arg_ENVIRONMENT}")
+    PROPERTIES LABELS "${arg_LABELS}" TIMEOUT ${arg_TIMEOUT} RUN_SERIAL ${serial} ENVIRONMENT "${arg_ENVIRONMENT}")
 endfunction()
 
 # trem_fuzz(NAME SOURCES... DEPS...): a libFuzzer target, built only with -DTREM_BUILD_FUZZERS=ON (preset "fuzz", clang).
