@@ -1,0 +1,14 @@
+#pragma once
+
+#include "mosaic/base/status.h"
+#include "mosaic/geometry/mosaic_grid.h"
+
+class GDALDataset;
+
+namespace trem {
+
+// Gives `dataset` the grid's CRS and corner geotransform. An empty CRS sets the geotransform only. kCorrupt when the WKT is not valid.
+// Defined in geotiff.cc, beside the half pixel.
+Status SetGeoreference(const MosaicGrid& grid, GDALDataset* dataset);
+
+}  // namespace trem
