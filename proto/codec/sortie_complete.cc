@@ -1,0 +1,146 @@
+// CompleteSortie: the ranges and defaults that job.proto documents.
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "proto/codec/sortie_spec.h"
+
+namespace trem {
+namespace {
+
+// Remembers the first value that is out of its range.
+class RangeChecker {
+ public:
+  const Status& status() const { return status_; }
+
+  void Number(const char* field, double value, double least, double most) {
+    if (!(value >= least && value <= most)) Refuse(field, fmt::format("{}", value), fmt::format("{} to {}", least, most));
+  }
+  void Whole(const char* field, std::uint64_t value, std::uint64_t least, std::uint64_t most) {
+    if (value < least || value > most) Refuse(field, fmt::format("{}", value), fmt::format("a whole number from {} to {}", least, most));
+  }
+  void Text(const char* field, const std::string& value, std::size_t length_max) {
+    if (value.size() > length_max) Refuse(field, fmt::format("{} bytes long", value.size()), fmt::format("at most {}", length_max));
+    if (std::any_of(value.begin(), value.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; })) {
+      Refuse(field, "a text with control characters", "printable characters");
+    }
+    // Protobuf texts are UTF-8: what is not would be lost between the processes.
+    try {
+      (void)nlohmann::json(value).dump();
+    } catch (const nlohmann::json::type_error&) {
+      Refuse(field, "not valid UTF-8", "UTF-8 text");
+    }
+  }
+  void Enum(const char* field, int value, bool is_known) {
+    if (!is_known) Refuse(field, fmt::format("{}", value), "a value that job.proto names");
+  }
+  void Refuse(const std::string& field, const std::string& found, const std::string& expected) {
+    if (status_.ok()) status_ = InvalidInput(fmt::format("{} is {}; expected {}", field, found, expected));
+  }
+
+ private:
+  Status status_;
+};
+
+double OrDefault(double value, double default_value) { return value == 0.0 ? default_value : value; }
+std::uint32_t OrDefault(std::uint32_t value, std::uint32_t default_value) { return value == 0 ? default_value : value; }
+
+// The last part of the path, or the folder of a glob's pattern.
+std::string NameOfSource(const std::string& source_path) {
+  std::filesystem::path path(source_path);
+  if (!path.has_filename()) path = path.parent_path();
+  while (path.filename().string().find_first_of("*?[") != std::string::npos && path.has_parent_path()) path = path.parent_path();
+  const std::string name = path.filename().string();
+  return name.empty() ? source_path : name;
+}
+
+void CompleteSource(v1::Source* source, RangeChecker* check) {
+  check->Text("source.path", source->path(), 4096);
+  source->set_frame_rate_hz(OrDefault(source->frame_rate_hz(), 25.0));
+  check->Number("source.frame_rate_hz", source->frame_rate_hz(), 1e-3, 1e5);
+  check->Enum("source.deinterlace", source->deinterlace(), v1::Deinterlace_IsValid(source->deinterlace()));
+}
+
+void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
+  check->Text("telemetry.path", telemetry->path(), 4096);
+  telemetry->set_position_sigma_m(OrDefault(telemetry->position_sigma_m(), 1.0));
+  check->Number("telemetry.position_sigma_m", telemetry->position_sigma_m(), 1e-3, 1e5);
+  telemetry->set_attitude_sigma_deg(OrDefault(telemetry->attitude_sigma_deg(), 0.1));
+  check->Number("telemetry.attitude_sigma_deg", telemetry->attitude_sigma_deg(), 1e-4, 90.0);
+  if (telemetry->has_ground_elevation_m()) {
+    check->Number("telemetry.ground_elevation_m", telemetry->ground_elevation_m(), -1000.0, 10000.0);
+  }
+}
+
+void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
+  sensor->set_psf_sigma_px(OrDefault(sensor->psf_sigma_px(), 0.55));
+  check->Number("sensor.psf_sigma_px", sensor->psf_sigma_px(), 0.05, 3.0);
+  sensor->set_fill_factor(OrDefault(sensor->fill_factor(), 0.9));
+  check->Number("sensor.fill_factor", sensor->fill_factor(), 0.05, 1.0);
+  check->Number("sensor.noise_sigma", sensor->noise_sigma(), 0.0, 65535.0);
+}
+
+void CompleteTre(v1::Tre* tre, RangeChecker* check) {
+  tre->set_ratio(OrDefault(tre->ratio(), 3));
+  check->Whole("tre.ratio", tre->ratio(), 2, 4);
+  check->Enum("tre.registration", tre->registration(), v1::RegistrationMethod_IsValid(tre->registration()));
+  check->Enum("tre.update", tre->update(), v1::UpdateScheme_IsValid(tre->update()));
+  check->Enum("tre.structure", tre->structure(), v1::StructurePrior_IsValid(tre->structure()));
+  tre->set_structure_weight(OrDefault(tre->structure_weight(), 1.0));
+  check->Number("tre.structure_weight", tre->structure_weight(), 1e-6, 1e6);
+  check->Whole("tre.iterations", tre->iterations(), 0, 1000);
+  if (tre->forgetting() != 0.0 && !(tre->forgetting() > 0.0 && tre->forgetting() <= 1.0)) {
+    check->Refuse("tre.forgetting", fmt::format("{}", tre->forgetting()), "more than 0 and at most 1, or 0 for automatic");
+  }
+}
+
+void CompleteWindows(v1::Windows* windows, RangeChecker* check) {
+  windows->set_roi_px(OrDefault(windows->roi_px(), 201));
+  check->Whole("windows.roi_px", windows->roi_px(), 41, 1024);
+  windows->set_roi_overlap_px(OrDefault(windows->roi_overlap_px(), std::min<std::uint32_t>(40, windows->roi_px() / 5)));
+  if (2 * std::uint64_t{windows->roi_overlap_px()} >= windows->roi_px()) {
+    check->Refuse("windows.roi_overlap_px", fmt::format("{}", windows->roi_overlap_px()),
+                  fmt::format("less than half of windows.roi_px ({})", windows->roi_px()));
+  }
+  windows->set_frames(OrDefault(windows->frames(), 96));
+  check->Whole("windows.frames", windows->frames(), 2, 4096);
+  windows->set_frame_overlap(OrDefault(windows->frame_overlap(), std::clamp<std::uint32_t>(windows->frames() / 4, 1, 24)));
+  if (windows->frame_overlap() >= windows->frames()) {
+    check->Refuse("windows.frame_overlap", fmt::format("{}", windows->frame_overlap()),
+                  fmt::format("less than windows.frames ({})", windows->frames()));
+  }
+}
+
+void CompleteMosaic(v1::Mosaic* mosaic, RangeChecker* check) {
+  if (mosaic->gsd() != 0.0) check->Number("mosaic.gsd", mosaic->gsd(), 1e-4, 1e4);
+  check->Text("mosaic.crs", mosaic->crs(), 4096);
+  mosaic->set_tile_px(OrDefault(mosaic->tile_px(), 512));
+  if (mosaic->tile_px() < 64 || mosaic->tile_px() > 4096 || mosaic->tile_px() % 16 != 0) {
+    check->Refuse("mosaic.tile_px", fmt::format("{}", mosaic->tile_px()), "a multiple of 16 from 64 to 4096");
+  }
+}
+
+}  // namespace
+
+Status CompleteSortie(v1::Sortie* sortie) {
+  if (sortie->source().path().empty()) {
+    return InvalidInput("source.path is missing; expected a video file, a folder of images or a glob, as in: source { path: \"frames\" }");
+  }
+  RangeChecker check;
+  check.Text("name", sortie->name(), 256);
+  CompleteSource(sortie->mutable_source(), &check);
+  CompleteTelemetry(sortie->mutable_telemetry(), &check);
+  CompleteSensor(sortie->mutable_sensor(), &check);
+  CompleteTre(sortie->mutable_tre(), &check);
+  CompleteWindows(sortie->mutable_windows(), &check);
+  CompleteMosaic(sortie->mutable_mosaic(), &check);
+  if (sortie->name().empty()) sortie->set_name(NameOfSource(sortie->source().path()));
+  return check.status();
+}
+
+}  // namespace trem

@@ -1,0 +1,95 @@
+// LoadSortie: from what a user typed to a complete spec.
+#include <fmt/format.h>
+#include <glob.h>
+
+#include <filesystem>
+#include <optional>
+#include <system_error>
+
+#include "mosaic/base/file.h"
+#include "proto/codec/sortie_spec.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uint64_t kSpecFileBytesMax = std::uint64_t{1} << 20;
+
+bool Exists(const fs::path& path) {
+  std::error_code ignored;
+  return fs::exists(path, ignored);
+}
+
+bool IsGlob(const std::string& path) { return path.find_first_of("*?[") != std::string::npos; }
+
+bool GlobMatches(const std::string& pattern) {
+  glob_t matches{};
+  const bool found = ::glob(pattern.c_str(), GLOB_NOSORT, nullptr, &matches) == 0 && matches.gl_pathc > 0;
+  ::globfree(&matches);
+  return found;
+}
+
+std::string WorkingFolder() {
+  std::error_code ignored;
+  return fs::current_path(ignored).string();
+}
+
+std::string Absolute(const std::string& path, const fs::path& base) {
+  std::string normal = (base / path).lexically_normal().string();
+  if (normal.size() > 1 && normal.ends_with('/')) normal.pop_back();
+  return normal;
+}
+
+// Makes the paths of a spec absolute; `base` is an absolute folder.
+void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
+  if (!sortie->source().path().empty()) sortie->mutable_source()->set_path(Absolute(sortie->source().path(), base));
+  if (!sortie->telemetry().path().empty()) sortie->mutable_telemetry()->set_path(Absolute(sortie->telemetry().path(), base));
+}
+
+// Ok when `path` is there: something readable, or a glob that matches something.
+Status CheckThere(const std::string& field, const std::string& path, const std::string& expected) {
+  if (Exists(path) || (IsGlob(path) && GlobMatches(path))) return {};
+  const char* what = IsGlob(path) ? "nothing matches the glob" : "no such file or folder";
+  return NotFound(fmt::format("{}{}: {}; expected {}", field, what, path, expected));
+}
+
+Status CheckSource(const v1::Source& source) {
+  TREM_RETURN_IF_ERROR(CheckThere("source.path: ", source.path(), "a video, a folder of images or a glob"));
+  std::error_code error;
+  if (!fs::is_directory(source.path(), error)) return {};
+  const bool empty = fs::is_empty(source.path(), error);
+  if (error) return InvalidInput(fmt::format("source.path: cannot list the folder {}: {}", source.path(), error.message()));
+  if (empty) return NotFound(fmt::format("source.path: the folder {} is empty; expected images in it", source.path()));
+  return {};
+}
+
+}  // namespace
+
+Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std::string>& overrides) {
+  if (argument.empty()) return InvalidInput("no sortie given; expected a sortie spec, a video, a folder of images or a glob");
+  const std::string folder = WorkingFolder();
+  if (!Exists(argument) && !(IsGlob(argument) && GlobMatches(argument))) {
+    return NotFound(fmt::format("{}: {} (looked from {}); expected a sortie spec, a video, a folder of images or a glob",
+                                IsGlob(argument) ? "nothing matches the glob" : "no such file or folder", argument, folder));
+  }
+  v1::Sortie sortie;
+  std::error_code ignored;
+  if ((argument.ends_with(".textproto") || argument.ends_with(".json")) && fs::is_regular_file(argument, ignored)) {
+    TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(argument, kSpecFileBytesMax));
+    TREM_ASSIGN_OR_RETURN(sortie, ParseSortieSpec(text, argument));
+    MakeAbsolute(fs::path(Absolute(argument, folder)).parent_path(), &sortie);
+  } else {
+    sortie.mutable_source()->set_path(argument);
+  }
+  for (const std::string& assignment : overrides) TREM_RETURN_IF_ERROR(ApplyOverride(assignment, &sortie));
+  MakeAbsolute(folder, &sortie);  // Paths typed on the command line.
+  TREM_RETURN_IF_ERROR(CompleteSortie(&sortie).WithPrefix(argument));
+  TREM_RETURN_IF_ERROR(CheckSource(sortie.source()));
+  if (!sortie.telemetry().path().empty() && !sortie.telemetry().ignore()) {
+    TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", sortie.telemetry().path(), "a telemetry.csv"));
+  }
+  return sortie;
+}
+
+}  // namespace trem
