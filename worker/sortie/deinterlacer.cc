@@ -19,8 +19,8 @@ Status Deinterlacer::Build(const AVFrame& frame) {
   AVFilterContext* filter = nullptr;
   int error = avfilter_graph_create_filter(&source_, avfilter_get_by_name("buffer"), "in", arguments.c_str(), nullptr, graph_.get());
   if (error >= 0) {
-    error = avfilter_graph_create_filter(&filter, avfilter_get_by_name("bwdif"), "deinterlace", "mode=send_frame:parity=auto:deint=all", nullptr,
-                                         graph_.get());
+    error = avfilter_graph_create_filter(&filter, avfilter_get_by_name("bwdif"), "deinterlace", "mode=send_frame:parity=auto:deint=all",
+                                         nullptr, graph_.get());
   }
   if (error >= 0) error = avfilter_graph_create_filter(&sink_, avfilter_get_by_name("buffersink"), "out", nullptr, nullptr, graph_.get());
   if (error >= 0) error = avfilter_link(source_, 0, filter, 0);

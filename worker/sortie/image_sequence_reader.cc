@@ -95,8 +95,8 @@ double GreyMax(GDALDataType type) {
 }
 
 Status ReadBand(GDALDatasetH dataset, int band, Image<float>* pixels) {
-  const CPLErr error = GDALRasterIO(GDALGetRasterBand(dataset, band), GF_Read, 0, 0, pixels->width(), pixels->height(),
-                                    pixels->row(0), pixels->width(), pixels->height(), GDT_Float32, 0, 0);
+  const CPLErr error = GDALRasterIO(GDALGetRasterBand(dataset, band), GF_Read, 0, 0, pixels->width(), pixels->height(), pixels->row(0),
+                                    pixels->width(), pixels->height(), GDT_Float32, 0, 0);
   if (error != CE_None) return Failed("band " + std::to_string(band));
   return {};
 }
@@ -263,7 +263,8 @@ Result<GreyImage> ReadGreyImage(const std::filesystem::path& path) {
   if (!status.ok() || messages.truncated()) {
     return InvalidInput(path.string() + ": the image is damaged or cut short (" + messages.first() + ")");
   }
-  if (image.grey_max == 0.0 && !std::all_of(image.pixels.pixels().begin(), image.pixels.pixels().end(), [](float v) { return std::isfinite(v); })) {
+  if (image.grey_max == 0.0 &&
+      !std::all_of(image.pixels.pixels().begin(), image.pixels.pixels().end(), [](float v) { return std::isfinite(v); })) {
     return InvalidInput(path.string() + ": holds pixels that are not finite numbers; expected intensities");
   }
   return image;

@@ -14,7 +14,8 @@ constexpr int kSeekBack_frames[] = {32, 128, 512, 2048};
 
 }  // namespace
 
-Result<std::unique_ptr<VideoReader>> VideoReader::Open(const std::string& path, std::vector<VideoFrameId> frames, VideoReaderOptions options) {
+Result<std::unique_ptr<VideoReader>> VideoReader::Open(const std::string& path, std::vector<VideoFrameId> frames,
+                                                       VideoReaderOptions options) {
   std::unique_ptr<VideoReader> reader(new VideoReader(path, std::move(frames), options));
   TREM_RETURN_IF_ERROR(reader->Restart());
   return reader;
@@ -24,6 +25,7 @@ Status VideoReader::Restart() {
   next_number_ = -1;
   TREM_ASSIGN_OR_RETURN(stream_, VideoStream::Open(path_, options_.deinterlace));
   next_number_ = 0;
+  ++restart_count_;
   return {};
 }
 

@@ -38,6 +38,9 @@ class VideoReader {
   // `index` into `frames`. kCorrupt when the file no longer holds that frame; errors name file and frame.
   Result<GreyImage> Read(int index);
 
+  // How often a read had to begin at the start of the file, for tests and statistics.
+  int restart_count() const { return restart_count_; }
+
  private:
   VideoReader(std::string path, std::vector<VideoFrameId> frames, VideoReaderOptions options)
       : path_(std::move(path)), frames_(std::move(frames)), options_(options) {}
@@ -53,6 +56,7 @@ class VideoReader {
   std::unique_ptr<VideoStream> stream_;
   // Number of the frame that stream_ gives next; -1: unknown, the stream has to be placed again.
   std::int64_t next_number_ = -1;
+  int restart_count_ = 0;
 };
 
 }  // namespace trem

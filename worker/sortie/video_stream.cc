@@ -113,8 +113,8 @@ void VideoStream::NoteKey(const AVPacket& packet) {
 }
 
 int VideoStream::KeysUpTo(std::int64_t pts) const {
-  return static_cast<int>(std::count_if(std::begin(key_pts_), std::end(key_pts_),
-                                        [pts](std::int64_t key) { return key != AV_NOPTS_VALUE && key <= pts; }));
+  return static_cast<int>(
+      std::count_if(std::begin(key_pts_), std::end(key_pts_), [pts](std::int64_t key) { return key != AV_NOPTS_VALUE && key <= pts; }));
 }
 
 void VideoStream::SendPacket(const AVPacket* packet) {

@@ -15,11 +15,11 @@ struct VideoFacts {
   std::string codec;
   int width_px = 0;
   int height_px = 0;
-  double time_base_s = 0.0;            // Seconds per unit of pts.
-  double frame_rate_hz = 0.0;          // As the container states it; 0: unknown.
-  double sample_aspect_ratio = 1.0;    // Width of a pixel over its height.
-  bool interlaced = false;             // What the stream says.
-  std::int64_t frame_count = 0;        // As the container states it; 0: unknown.
+  double time_base_s = 0.0;          // Seconds per unit of pts.
+  double frame_rate_hz = 0.0;        // As the container states it; 0: unknown.
+  double sample_aspect_ratio = 1.0;  // Width of a pixel over its height.
+  bool interlaced = false;           // What the stream says.
+  std::int64_t frame_count = 0;      // As the container states it; 0: unknown.
 };
 
 // Decodes the first video stream of a file forward, in presentation order, with one thread and bit-exact arithmetic. Other streams are
