@@ -1,0 +1,82 @@
+#include "proto/channel/dealer_channel.h"
+
+#include <cerrno>
+#include <utility>
+
+#include "proto/channel/socket.h"
+
+namespace trem {
+
+struct DealerChannel::State {
+  ChannelOptions options;
+  std::string endpoint;
+  WakeEvent wake;
+  zmq::context_t context;
+  zmq::socket_t socket{context, zmq::socket_type::dealer};
+  std::uint64_t garbage_count = 0;
+};
+
+DealerChannel::DealerChannel(std::unique_ptr<State> state) : state_(std::move(state)) {}
+DealerChannel::~DealerChannel() = default;
+
+Result<std::unique_ptr<DealerChannel>> DealerChannel::Connect(const std::string& endpoint, const ChannelOptions& options) {
+  TREM_RETURN_IF_ERROR(CheckEndpoint(endpoint, /*wildcard_port=*/false));
+  auto state = std::make_unique<State>();
+  state->options = options;
+  state->endpoint = endpoint;
+  try {
+    ConfigureSocket(&state->socket, options);
+    // Nothing is queued for a coordinator that is not there: what it would read later is out of date.
+    state->socket.set(zmq::sockopt::immediate, true);
+    if (!options.identity.empty()) state->socket.set(zmq::sockopt::routing_id, options.identity);
+    state->socket.connect(endpoint);
+  } catch (const zmq::error_t& error) {
+    return InvalidInput("cannot connect to " + endpoint + ": " + error.what());
+  }
+  return std::unique_ptr<DealerChannel>(new DealerChannel(std::move(state)));
+}
+
+Status DealerChannel::Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout) {
+  const EnvelopeFrames frames = EncodeEnvelope(envelope);
+  const auto deadline = std::chrono::steady_clock::now() + timeout;
+  for (;;) {
+    try {
+      if (state_->socket.send(zmq::buffer(frames.header), zmq::send_flags::sndmore | zmq::send_flags::dontwait) &&
+          state_->socket.send(zmq::buffer(frames.body), zmq::send_flags::dontwait)) {
+        return {};
+      }
+    } catch (const zmq::error_t& error) {
+      if (error.num() != EINTR) return Unavailable("cannot send to the coordinator at " + state_->endpoint + ": " + error.what());
+    }
+    const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
+    if (left.count() <= 0) {
+      return Unavailable("no coordinator answers at " + state_->endpoint + "; start trem-coordinator there or name another endpoint");
+    }
+    // A wake is for Receive: it must not end the wait for a connection, and must not be lost.
+    zmq::pollitem_t item{state_->socket.handle(), 0, ZMQ_POLLOUT, 0};
+    (void)zmq_poll(&item, 1, static_cast<long>(left.count()));
+  }
+}
+
+Result<std::optional<v1::Envelope>> DealerChannel::Receive(std::chrono::milliseconds timeout) {
+  constexpr std::size_t kFrameCount = 2;  // Header, body.
+  RawMessage message;
+  if (!WaitFor(&state_->socket, state_->wake, ZMQ_POLLIN, timeout) || !ReceiveNow(&state_->socket, kFrameCount, &message)) {
+    return std::optional<v1::Envelope>();
+  }
+  Result<v1::Envelope> envelope = Corrupt("a message that does not consist of two frames");
+  if (message.is_complete && message.frames.size() == kFrameCount) {
+    envelope = DecodeEnvelope(message.frames[0], message.frames[1], state_->options.limits);
+  }
+  if (!envelope.ok()) {
+    ++state_->garbage_count;
+    return envelope.status();
+  }
+  return std::optional<v1::Envelope>(std::move(envelope).value());
+}
+
+void DealerChannel::Wake() const { state_->wake.Notify(); }
+
+std::uint64_t DealerChannel::garbage_count() const { return state_->garbage_count; }
+
+}  // namespace trem

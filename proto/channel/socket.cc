@@ -1,0 +1,117 @@
+#include "proto/channel/socket.h"
+
+#include <fmt/format.h>
+#include <sys/un.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <charconv>
+#include <limits>
+#include <string_view>
+
+namespace trem {
+namespace {
+
+// True for a decimal number from 0 to `most`, without sign or spaces.
+bool IsNumber(std::string_view text, unsigned most) {
+  unsigned value = 0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  return error == std::errc() && end == text.data() + text.size() && value <= most;
+}
+
+// True for 127.x.y.z.
+bool IsIpv4Loopback(std::string_view host) {
+  int parts = 0;
+  bool is_loopback = host.starts_with("127.");
+  while (is_loopback) {
+    const std::size_t dot = host.find('.');
+    is_loopback = IsNumber(host.substr(0, dot), 255);
+    ++parts;
+    if (dot == std::string_view::npos) break;
+    host.remove_prefix(dot + 1);
+  }
+  return is_loopback && parts == 4;
+}
+
+Status CheckIpc(const std::string& endpoint, std::string_view path) {
+  constexpr std::size_t kPathBytesMax = sizeof(sockaddr_un::sun_path) - 1;
+  if (path.empty()) return InvalidInput(fmt::format("endpoint '{}' has no path; expected ipc://PATH", endpoint));
+  if (path.size() > kPathBytesMax) {
+    return InvalidInput(fmt::format("endpoint '{}': a socket's path has at most {} bytes, this one has {}; use a shorter folder", endpoint,
+                                    kPathBytesMax, path.size()));
+  }
+  return {};
+}
+
+// False when no frame is there.
+bool ReceiveFrame(zmq::socket_t* socket, zmq::message_t* frame) {
+  for (;;) {
+    try {
+      return socket->recv(*frame, zmq::recv_flags::dontwait).has_value();
+    } catch (const zmq::error_t& error) {
+      if (error.num() != EINTR) return false;
+    }
+  }
+}
+
+}  // namespace
+
+Status CheckEndpoint(const std::string& endpoint, bool wildcard_port) {
+  constexpr std::string_view kIpc = "ipc://";
+  constexpr std::string_view kTcp = "tcp://";
+  const std::string_view text = endpoint;
+  if (text.starts_with(kIpc)) return CheckIpc(endpoint, text.substr(kIpc.size()));
+  const std::size_t colon = text.rfind(':');
+  if (!text.starts_with(kTcp) || colon < kTcp.size()) {
+    return InvalidInput(fmt::format("endpoint '{}' is not understood; expected ipc://PATH or tcp://127.0.0.1:PORT", endpoint));
+  }
+  const std::string_view host = text.substr(kTcp.size(), colon - kTcp.size());
+  const std::string_view port = text.substr(colon + 1);
+  if (!IsIpv4Loopback(host)) {
+    return InvalidInput(
+        fmt::format("endpoint '{}' is neither ipc nor an IPv4 loopback address: connections between machines need CURVE keys, "
+                    "which are not available yet; use ipc://PATH or tcp://127.0.0.1:PORT",
+                    endpoint));
+  }
+  if (wildcard_port && port == "*") return {};
+  if (!IsNumber(port, 65535) || port == "0") {
+    return InvalidInput(
+        fmt::format("endpoint '{}' has the port '{}'; expected a number from 1 to 65535{}", endpoint, port, wildcard_port ? " or *" : ""));
+  }
+  return {};
+}
+
+void ConfigureSocket(zmq::socket_t* socket, const ChannelOptions& options) {
+  socket->set(zmq::sockopt::linger, static_cast<int>(options.linger.count()));
+  // A peer that sends a larger frame is disconnected by libzmq before the frame is allocated.
+  socket->set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(options.limits.body_bytes_max));
+  socket->set(zmq::sockopt::reconnect_ivl, 50);
+  socket->set(zmq::sockopt::reconnect_ivl_max, 2000);
+}
+
+bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::chrono::milliseconds timeout) {
+  zmq::pollitem_t items[] = {{socket->handle(), 0, events, 0}, {nullptr, wake.fd(), ZMQ_POLLIN, 0}};
+  const auto bounded = std::clamp<std::chrono::milliseconds::rep>(timeout.count(), 0, std::numeric_limits<int>::max());
+  const int ready = zmq_poll(items, 2, static_cast<long>(bounded));
+  if (ready <= 0) return false;  // Time is over, or a signal interrupted the wait.
+  if ((items[0].revents & events) != 0) return true;
+  wake.Clear();
+  return false;
+}
+
+bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* message) {
+  message->frames.clear();
+  message->is_complete = true;
+  zmq::message_t frame;
+  do {  // The frames of one message arrive together: only the first can be missing.
+    if (!ReceiveFrame(socket, &frame)) return false;
+    if (message->frames.size() < frames_max) {
+      message->frames.push_back(frame.to_string());
+    } else {
+      message->is_complete = false;
+    }
+  } while (frame.more());
+  return true;
+}
+
+}  // namespace trem

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <chrono>
+#include <string>
+#include <vector>
+#include <zmq.hpp>
+
+#include "mosaic/base/status.h"
+#include "proto/channel/router_channel.h"
+#include "proto/channel/wake_event.h"
+
+namespace trem {
+
+// What the two channels have in common; adapts libzmq's exceptions.
+
+// Ok for ipc://PATH and tcp://127.x.y.z:PORT (or :* where `wildcard_port`); otherwise kInvalidInput, with the reason.
+Status CheckEndpoint(const std::string& endpoint, bool wildcard_port);
+
+// Sets the options that every socket of ours has; throws zmq::error_t.
+void ConfigureSocket(zmq::socket_t* socket, const ChannelOptions& options);
+
+// Waits until the socket is ready for `events` (ZMQ_POLLIN or ZMQ_POLLOUT); false after `timeout`, a wake (which it clears) or a signal.
+bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::chrono::milliseconds timeout);
+
+// Receives every frame of one message that is there already; keeps the first `frames_max` and sets `is_complete` to whether that was all.
+struct RawMessage {
+  std::vector<std::string> frames;
+  bool is_complete = true;
+};
+// False when no message is there.
+bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* message);
+
+}  // namespace trem
