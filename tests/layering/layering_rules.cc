@@ -13,40 +13,47 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// What a folder may include of this project, itself and its subfolders apart. `pixels`: may it use OpenCV and GDAL?
+// What a folder may touch of the outside world.
+enum class Reach {
+  kPure,      // Nothing: no clock, disk, socket, thread or source of randomness.
+  kNoPixels,  // Anything but OpenCV, GDAL and FFmpeg.
+  kPixels,    // Anything.
+};
+
+// What a folder may include of this project, itself and its subfolders apart.
 struct Rule {
   std::string_view folder;
   std::vector<std::string_view> allowed;
-  bool pixels;
+  Reach reach;
 };
 
 // The include table. The first rule whose folder holds the file counts, so subfolders stand before their parents.
 const std::vector<Rule>& Rules() {
   static const std::vector<Rule> rules = {
-      {"mosaic/base", {}, false},
-      {"mosaic/geometry", {"mosaic/base"}, false},
-      {"mosaic/raster", {"mosaic/base", "mosaic/geometry"}, true},
-      {"mosaic/align", {"mosaic/base", "mosaic/geometry"}, true},
-      {"mosaic/composite", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, true},
-      {"mosaic/publish", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, true},
-      {"proto/trem", {}, false},
-      {"proto/codec", {"mosaic/base", "mosaic/geometry", "proto/trem"}, false},
-      {"proto/channel", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, false},
-      {"worker/sortie", {"mosaic/base", "mosaic/geometry", "mosaic/raster", "proto"}, true},
-      {"worker/sensor", {"mosaic/base", "mosaic/geometry"}, true},
-      {"worker/registration", {"mosaic/base", "mosaic/geometry", "worker/sensor"}, true},
-      {"worker/tre", {"mosaic/base", "mosaic/geometry", "worker/registration", "worker/sensor"}, true},
-      {"worker/simulate", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, true},
+      {"mosaic/base", {}, Reach::kNoPixels},
+      {"mosaic/geometry", {"mosaic/base"}, Reach::kNoPixels},
+      {"mosaic/raster", {"mosaic/base", "mosaic/geometry"}, Reach::kPixels},
+      {"mosaic/align", {"mosaic/base", "mosaic/geometry"}, Reach::kPixels},
+      {"mosaic/composite", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, Reach::kPixels},
+      {"mosaic/publish", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, Reach::kPixels},
+      {"proto/trem", {}, Reach::kNoPixels},
+      {"proto/codec", {"mosaic/base", "mosaic/geometry", "proto/trem"}, Reach::kNoPixels},
+      {"proto/channel", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, Reach::kNoPixels},
+      {"worker/sortie", {"mosaic/base", "mosaic/geometry", "mosaic/raster", "proto"}, Reach::kPixels},
+      {"worker/sensor", {"mosaic/base", "mosaic/geometry"}, Reach::kPixels},
+      {"worker/registration", {"mosaic/base", "mosaic/geometry", "worker/sensor"}, Reach::kPixels},
+      {"worker/tre", {"mosaic/base", "mosaic/geometry", "worker/registration", "worker/sensor"}, Reach::kPixels},
+      {"worker/simulate", {"mosaic/base", "mosaic/geometry", "mosaic/raster"}, Reach::kPixels},
       {"worker/tasks",
        {"mosaic", "proto/trem", "proto/codec", "worker/sortie", "worker/sensor", "worker/registration", "worker/tre"},
-       true},
-      {"worker/app", {"mosaic", "proto", "worker"}, true},
-      {"coordinator/planning", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, false},
-      {"coordinator/scheduling", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, false},
-      {"coordinator/store", {"mosaic/base", "proto"}, false},
-      {"coordinator/cli", {"mosaic/base", "mosaic/geometry", "proto", "coordinator/planning"}, false},
-      {"coordinator/app", {"mosaic/base", "mosaic/geometry", "proto", "coordinator"}, false},
-      {"tests", {"mosaic", "proto", "worker", "coordinator", "tests"}, true},
+       Reach::kPixels},
+      {"worker/app", {"mosaic", "proto", "worker"}, Reach::kPixels},
+      {"coordinator/planning", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, Reach::kPure},
+      {"coordinator/scheduling", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec", "coordinator/planning"}, Reach::kPure},
+      {"coordinator/store", {"mosaic/base", "proto"}, Reach::kNoPixels},
+      {"coordinator/cli", {"mosaic/base", "mosaic/geometry", "proto", "coordinator/planning"}, Reach::kNoPixels},
+      {"coordinator/app", {"mosaic/base", "mosaic/geometry", "proto", "coordinator"}, Reach::kNoPixels},
+      {"tests", {"mosaic", "proto", "worker", "coordinator", "tests"}, Reach::kPixels},
   };
   return rules;
 }
@@ -66,6 +73,12 @@ bool IsPixelLibrary(const std::string& header) {
   return std::regex_match(header, pattern);
 }
 
+bool IsOutsideWorld(const std::string& header) {
+  static const std::regex pattern(
+      R"(^(chrono|ctime|time\.h|random|thread|mutex|future|fstream|filesystem|unistd\.h|sys/.*|zmq.*|sqlite3\.h|mosaic/base/(file|artefact_store|log)\.h)$)");
+  return std::regex_match(header, pattern);
+}
+
 std::string Join(const std::vector<std::string_view>& words) {
   std::string joined;
   for (const std::string_view word : words) joined += (joined.empty() ? "" : ", ") + std::string(word);
@@ -80,7 +93,10 @@ const Rule* FindRule(const std::string& path) {
 // Empty when `header`, included by a file under `rule`, is allowed.
 std::string Objection(const Rule& rule, const std::string& header) {
   if (IsPixelLibrary(header)) {
-    return rule.pixels ? "" : "includes <" + header + ">, but " + std::string(rule.folder) + " never opens a pixel";
+    return rule.reach == Reach::kPixels ? "" : "includes <" + header + ">, but " + std::string(rule.folder) + " never opens a pixel";
+  }
+  if (rule.reach == Reach::kPure && IsOutsideWorld(header)) {
+    return "includes " + header + ", but " + std::string(rule.folder) + " is pure: no clock, disk, socket, thread or random source";
   }
   if (header.find("..") != std::string::npos) return "includes \"" + header + "\"; expected a full path from the root of the sources";
   if (!IsProjectPath(header) || IsWithin(header, rule.folder)) return "";
