@@ -22,7 +22,7 @@ namespace trem {
 namespace {
 
 namespace fs = std::filesystem;
-using testing::HasSubstr;
+using ::testing::HasSubstr;
 using trem::testing::FileContents;
 using trem::testing::TempDir;
 using trem::testing::WriteFileContents;
