@@ -26,7 +26,7 @@ target_compile_options(trem_flags INTERFACE -Wall -Wextra -Wpedantic -Wshadow -W
 target_compile_definitions(trem_flags INTERFACE SPDLOG_COMPILED_LIB SPDLOG_FMT_EXTERNAL SPDLOG_SHARED_LIB
   TREM_VERSION="${PROJECT_VERSION}")
 if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-  # g++ 12 reports false positives on std::variant<std::string>, std::optional and "literal" + std::string (its bug 105329).
+  # g++ 12 reports false positives on std::variant<std::string> and std::optional, and on "text" + std::string (GCC bug 105651).
   target_compile_options(trem_flags INTERFACE -Wno-maybe-uninitialized -Wno-restrict)
 endif()
 if(TREM_MOLD)

@@ -1,0 +1,251 @@
+#include "coordinator/cli/app.h"
+
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "coordinator/cli/child_process.h"
+#include "coordinator/cli/client_commands.h"
+#include "coordinator/cli/plan_command.h"
+#include "coordinator/cli/run_command.h"
+#include "coordinator/cli/suggest.h"
+#include "coordinator/cli/terminal.h"
+#include "mosaic/base/version.h"
+
+namespace trem {
+namespace {
+
+constexpr int kWorkersMax = 256;
+
+struct WorkerCommand {
+  const char* name;
+  const char* description;
+};
+// Commands that touch pixels run in trem-worker, with the same arguments.
+constexpr WorkerCommand kWorkerCommands[] = {
+    {"inspect", "What a sortie holds: frames, sizes, telemetry, gaps, suspicious values"},
+    {"enhance", "Resolution enhancement alone, on one region of the sensor"},
+    {"simulate", "Render a sortie with known truth from an image"},
+};
+
+// What the parsed command line asks for.
+struct Request {
+  RunOptions run;
+  RemoteOptions remote;
+  std::string sortie;
+  std::vector<std::string> overrides;
+  std::string job_id;
+  std::string output;
+  std::string store;
+  std::string work_folder;
+  bool json = false;
+  std::function<int()> action;
+};
+
+int ExecWorker(int argc, char** argv) {
+  const auto folder = ProgramFolder();
+  if (!folder.ok()) {
+    PrintError(folder.status().message());
+    return kExitFailed;
+  }
+  std::string program = (*folder / "trem-worker").string();
+  std::vector<char*> arguments = {program.data()};
+  arguments.insert(arguments.end(), argv + 1, argv + argc);
+  arguments.push_back(nullptr);
+  std::fflush(nullptr);
+  ::execv(program.c_str(), arguments.data());
+  PrintError("cannot start " + program + ": " + std::strerror(errno) + "; is the installation complete?");
+  return kExitFailed;
+}
+
+void AddOverrides(CLI::App* command, Request* request) {
+  command->add_option("--set", request->overrides, "Change a field of the spec, for example tre.ratio=2; may be repeated")
+      ->type_name("FIELD=VALUE")
+      ->allow_extra_args(false);
+}
+
+CLI::App* AddRemoteCommand(CLI::App* app, Request* request, const std::string& name, const std::string& description) {
+  CLI::App* command = app->add_subcommand(name, description);
+  command->add_option("--coordinator", request->remote.coordinator, "Endpoint of the coordinator, for example tcp://127.0.0.1:7411")
+      ->envname("TREM_COORDINATOR")
+      ->required();
+  command->add_flag("--json", request->remote.json, "Print JSON");
+  command->add_flag("-q,--quiet", request->remote.quiet, "No progress and no summary");
+  return command;
+}
+
+void AddRunCommand(CLI::App* app, Request* request) {
+  CLI::App* command = app->add_subcommand("run", "Make a mosaic of a sortie on this machine");
+  RunOptions* run = &request->run;
+  run->worker_count = DefaultWorkerCount();
+  command->add_option("SORTIE", request->sortie, "A video, a folder or glob of images, or a spec (.textproto, .json)")->required();
+  command->add_option("-o,--output", request->output, "The mosaic to write, *.tif; its siblings go beside it")->required();
+  command->add_option("--workers", run->worker_count, "Worker processes; default: one a core")
+      ->check(CLI::Range(1, kWorkersMax))
+      ->type_name("N");
+  AddOverrides(command, request);
+  command->add_option("--work-dir", request->work_folder, "Folder for what is needed to resume; default: <output>.work");
+  command->add_flag("--keep-work", run->keep_work, "Keep that folder after success");
+  command->add_flag("--json", run->json, "Print one JSON object on stdout at the end");
+  command->add_flag("-q,--quiet", run->quiet, "No progress and no summary; warnings and errors stay");
+  command->footer(
+      "Starts a coordinator and workers, waits, stops them. Interrupted or failed, the same command resumes.\n\n"
+      "Examples:\n"
+      "  trem run flight.ts -o mosaic.tif\n"
+      "  trem run frames/ -o out/mosaic.tif --workers 4 --set tre.ratio=2\n"
+      "  trem run sortie.textproto -o mosaic.tif --json > report.json\n\n"
+      "Exit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 130 interrupted");
+  command->callback([request] {
+    request->action = [request] {
+      request->run.sortie = request->sortie;
+      request->run.output = request->output;
+      request->run.work_folder = request->work_folder;
+      request->run.overrides = request->overrides;
+      return RunRunCommand(request->run);
+    };
+  });
+}
+
+void AddPlanCommand(CLI::App* app, Request* request) {
+  CLI::App* command = app->add_subcommand("plan", "Windows, tasks, expected memory and disk of a job; runs nothing");
+  command->add_option("SORTIE", request->sortie, "A video, a folder or glob of images, or a spec (.textproto, .json)")->required();
+  AddOverrides(command, request);
+  command->add_flag("--json", request->json, "Print JSON");
+  command->footer("Reads the sortie once.\n\nExamples:\n  trem plan flight.ts\n  trem plan frames/ --set windows.roi_px=151 --json");
+  command->callback(
+      [request] { request->action = [request] { return RunPlanCommand(request->sortie, request->overrides, request->json); }; });
+}
+
+void AddSubmitAndFetch(CLI::App* app, Request* request) {
+  CLI::App* submit = AddRemoteCommand(app, request, "submit", "Give a job to a running coordinator and return at once");
+  submit->add_option("SORTIE", request->sortie, "A path that the workers can read too, or a spec")->required();
+  AddOverrides(submit, request);
+  submit->add_option("--job-id", request->job_id, "Name of the job, a-z 0-9 -; the same id again is the same job; default: made up");
+  submit->footer(
+      "Prints the job's id.\n\nExamples:\n  trem submit flight.ts --coordinator tcp://127.0.0.1:7411\n"
+      "  JOB=$(trem submit frames/) && trem watch $JOB && trem fetch $JOB -o mosaic.tif");
+  submit->callback([request] {
+    request->action = [request] { return RunSubmitCommand(request->remote, request->sortie, request->overrides, request->job_id); };
+  });
+  CLI::App* fetch = AddRemoteCommand(app, request, "fetch", "Copy the results of a job that is done");
+  fetch->add_option("JOB", request->job_id, "Id of the job")->required();
+  fetch->add_option("-o,--output", request->output, "The mosaic to write, *.tif; its siblings go beside it")->required();
+  fetch->add_option("--store", request->store, "The artefact store as this machine sees it; default: as the coordinator does");
+  fetch->footer("Examples:\n  trem fetch flight-1a2b3c4d -o mosaic.tif");
+  fetch->callback([request] {
+    request->action = [request] { return RunFetchCommand(request->remote, request->job_id, request->output, request->store); };
+  });
+}
+
+void AddJobCommands(CLI::App* app, Request* request) {
+  struct JobCommand {
+    const char* name;
+    const char* description;
+    int (*run)(const RemoteOptions&, const std::string&);
+  };
+  static constexpr JobCommand kCommands[] = {
+      {"status", "A job's stages, results and warnings", RunStatusCommand},
+      {"watch", "Show a job's progress until it ends", RunWatchCommand},
+      {"cancel", "Stop a job", RunCancelCommand},
+  };
+  for (const JobCommand& entry : kCommands) {
+    CLI::App* command = AddRemoteCommand(app, request, entry.name, entry.description);
+    command->add_option("JOB", request->job_id, "Id of the job")->required();
+    command->footer(fmt::format("Examples:\n  trem {} flight-1a2b3c4d --coordinator tcp://127.0.0.1:7411", entry.name));
+    command->callback([request, run = entry.run] { request->action = [request, run] { return run(request->remote, request->job_id); }; });
+  }
+  CLI::App* list = AddRemoteCommand(app, request, "list", "All jobs of a coordinator");
+  list->footer("Examples:\n  trem list --coordinator tcp://127.0.0.1:7411");
+  list->callback([request] { request->action = [request] { return RunListCommand(request->remote); }; });
+  CLI::App* workers = AddRemoteCommand(app, request, "workers", "All workers of a coordinator");
+  workers->footer("Examples:\n  trem workers --coordinator tcp://127.0.0.1:7411 --json");
+  workers->callback([request] { request->action = [request] { return RunWorkersCommand(request->remote); }; });
+}
+
+std::vector<std::string> CommandNames(const CLI::App& app) {
+  std::vector<std::string> names;
+  for (const CLI::App* command : app.get_subcommands([](const CLI::App*) { return true; })) names.push_back(command->get_name());
+  return names;
+}
+
+// The options of the command that was being parsed, as "--workers".
+std::vector<std::string> OptionNames(const CLI::App& app) {
+  std::vector<std::string> names;
+  const std::vector<CLI::App*> parsed = app.get_subcommands();
+  const CLI::App& command = parsed.empty() ? app : *parsed.front();
+  for (const CLI::Option* option : command.get_options()) {
+    for (const std::string& name : option->get_lnames()) names.push_back("--" + name);
+  }
+  return names;
+}
+
+int ReportUnknownCommand(const CLI::App& app, const std::string& word) {
+  const std::string closest = ClosestWord(word, CommandNames(app));
+  PrintError("'" + word + "' is not a command of trem" + (closest.empty() ? "" : "; did you mean '" + closest + "'?") +
+             " See 'trem --help'");
+  return kExitUsage;
+}
+
+int ReportParseError(const CLI::App& app, const CLI::ParseError& error, int argc, char** argv) {
+  std::string message = error.what();
+  if (dynamic_cast<const CLI::ExtrasError*>(&error) != nullptr) {
+    const std::vector<std::string> known = OptionNames(app);
+    for (int i = 2; i < argc; ++i) {
+      const std::string word = std::string(argv[i]).substr(0, std::string(argv[i]).find('='));
+      if (word.size() < 3 || word.compare(0, 2, "--") != 0 || std::find(known.begin(), known.end(), word) != known.end()) continue;
+      const std::string closest = ClosestWord(word, known);
+      message = "unknown option " + word + (closest.empty() ? "" : "; did you mean " + closest + "?");
+      break;
+    }
+  }
+  const std::vector<CLI::App*> parsed = app.get_subcommands();
+  if (message.empty() || message.back() != '?') message += '.';
+  PrintError(message + " See 'trem " + (parsed.empty() ? "" : parsed.front()->get_name() + " ") + "--help'");
+  return kExitUsage;
+}
+
+}  // namespace
+
+int RunTrem(int argc, char** argv) {
+  const std::string first = argc > 1 ? argv[1] : "";
+  for (const WorkerCommand& command : kWorkerCommands) {
+    if (first == command.name) return ExecWorker(argc, argv);
+  }
+  Request request;
+  CLI::App app("trem: resolution-enhanced, georeferenced median mosaics from airborne video", "trem");
+  app.set_version_flag("--version", fmt::format("trem {} (engine revision {})", TREM_VERSION, kEngineRevision));
+  app.footer(
+      "Examples:\n  trem run flight.ts -o mosaic.tif\n  trem inspect frames/\n\n'trem COMMAND --help' explains a command.\n"
+      "Exit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 4 coordinator not reachable, 5 done in part");
+  AddRunCommand(&app, &request);
+  AddPlanCommand(&app, &request);
+  for (const WorkerCommand& command : kWorkerCommands) app.add_subcommand(command.name, command.description);
+  AddSubmitAndFetch(&app, &request);
+  AddJobCommands(&app, &request);
+  if (first.empty()) {
+    fmt::print(stderr, "{}", app.help());
+    return kExitUsage;
+  }
+  const std::vector<std::string> names = CommandNames(app);
+  if (first[0] != '-' && std::find(names.begin(), names.end(), first) == names.end()) return ReportUnknownCommand(app, first);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::Success& success) {  // --help, --version.
+    app.exit(success);
+    return kExitDone;
+  } catch (const CLI::ParseError& error) {
+    return ReportParseError(app, error, argc, argv);
+  }
+  if (!request.action) return ReportUnknownCommand(app, first);
+  return request.action();
+}
+
+}  // namespace trem

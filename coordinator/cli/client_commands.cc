@@ -1,0 +1,216 @@
+#include "coordinator/cli/client_commands.h"
+
+#include <fmt/format.h>
+
+#include <cctype>
+#include <random>
+
+#include "coordinator/cli/client.h"
+#include "coordinator/cli/interrupt.h"
+#include "coordinator/cli/job_report.h"
+#include "coordinator/cli/outputs.h"
+#include "coordinator/cli/progress.h"
+#include "coordinator/cli/terminal.h"
+#include "proto/codec/envelope.h"
+#include "proto/codec/sortie_spec.h"
+
+namespace trem {
+namespace fs = std::filesystem;
+namespace {
+
+using nlohmann::ordered_json;
+
+constexpr std::chrono::seconds kPatience{5};
+constexpr std::chrono::milliseconds kPollInterval{500};
+constexpr std::size_t kWarningLinesMax = 10;
+constexpr std::size_t kJobIdNameMax = 40;
+
+// Prints what went wrong and returns its exit code.
+int Report(const Status& status) {
+  if (InterruptSignal() != 0) return kExitSignalBase + InterruptSignal();
+  if (status.code() == StatusCode::kUnavailable) {
+    PrintError(status.message() + "; is trem-coordinator running there? --coordinator or TREM_COORDINATOR name its endpoint");
+  } else {
+    PrintError(status.message());
+  }
+  return ExitCodeOf(status.code());
+}
+
+Client MakeClient(const RemoteOptions& remote) {
+  CountInterrupts();
+  return Client(remote.coordinator, kPatience);
+}
+
+Status CheckJobId(const std::string& job_id) {
+  if (IsJobId(job_id)) return {};
+  return InvalidInput("'" + job_id + "' is not a job id; expected 1 to 64 of a-z, 0-9 and '-'; 'trem list' shows the jobs");
+}
+
+// "<name in lower case>-<8 random hexadecimal digits>".
+std::string NewJobId(const std::string& name) {
+  std::string id;
+  for (const char c : name.substr(0, kJobIdNameMax)) {
+    const auto byte = static_cast<unsigned char>(c);
+    const bool plain = byte < 0x80 && std::isalnum(byte) != 0;
+    if (plain) {
+      id += static_cast<char>(std::tolower(byte));
+    } else if (!id.empty() && id.back() != '-') {
+      id += '-';
+    }
+  }
+  if (id.empty()) id = "job-";
+  if (id.back() != '-') id += '-';
+  return id + fmt::format("{:08x}", std::random_device{}());
+}
+
+void PrintJob(const v1::JobStatus& job) {
+  fmt::print("{}  {}  {}\n", job.job_id(), JobStateName(job.state()), job.name());
+  if (!job.error().empty()) fmt::print("  error: {}\n", job.error());
+  for (const v1::StageStatus& stage : job.stages()) {
+    fmt::print("  {:<10} {:>7} of {:<7} done, {} running\n", TaskKindName(stage.kind()), stage.done(), stage.total(), stage.running());
+  }
+  if (job.state() == v1::JOB_RUNNING) fmt::print("  {}\n", ProgressLine(job));
+  for (const v1::ArtefactRef& output : job.outputs()) {
+    fmt::print("  {:>10}  {}\n", FormatBytes(static_cast<double>(output.bytes())), output.name());
+  }
+  for (const std::string& line : WarningLines(job, kWarningLinesMax)) fmt::print("  warning: {}\n", line);
+}
+
+void ShowJob(const RemoteOptions& remote, const v1::JobStatus& job) {
+  if (remote.json) {
+    fmt::print("{}\n", DumpJson(JobJson(job)));
+  } else if (!remote.quiet) {
+    PrintJob(job);
+  }
+}
+
+Result<v1::JobStatus> GetJob(Client* client, const std::string& job_id) {
+  TREM_RETURN_IF_ERROR(CheckJobId(job_id));
+  return client->GetJob(job_id);
+}
+
+Result<v1::JobStatus> Watch(Client* client, const RemoteOptions& remote, const std::string& job_id) {
+  ProgressDisplay display(ProgressDisplay::ModeFor(remote.quiet));
+  for (;;) {
+    TREM_ASSIGN_OR_RETURN(const v1::JobStatus job, GetJob(client, job_id));
+    display.Show(job);
+    if (job.state() != v1::JOB_RUNNING) return job;
+    TREM_RETURN_IF_ERROR(client->Pause(kPollInterval));
+  }
+}
+
+}  // namespace
+
+int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
+                     const std::string& job_id) {
+  const Result<v1::Sortie> spec = LoadSortie(sortie, overrides);
+  if (!spec.ok()) return Report(spec.status());
+  const std::string id = job_id.empty() ? NewJobId(spec->name()) : job_id;
+  if (const Status status = CheckJobId(id); !status.ok()) return Report(status);
+  Client client = MakeClient(remote);
+  const Result<v1::JobStatus> job = client.Submit(id, *spec);
+  if (!job.ok()) return Report(job.status());
+  if (remote.json) {
+    fmt::print("{}\n", DumpJson(JobJson(*job)));
+  } else {
+    fmt::print("{}\n", id);
+  }
+  return kExitDone;
+}
+
+int RunListCommand(const RemoteOptions& remote) {
+  Client client = MakeClient(remote);
+  v1::Envelope question;
+  question.mutable_list_jobs();
+  const Result<v1::Envelope> answer = client.Ask(question);
+  if (!answer.ok()) return Report(answer.status());
+  if (remote.json) {
+    ordered_json json = ordered_json::array();
+    for (const v1::JobStatus& job : answer->job_list().jobs()) json.push_back(JobJson(job));
+    fmt::print("{}\n", DumpJson(json));
+    return kExitDone;
+  }
+  for (const v1::JobStatus& job : answer->job_list().jobs()) {
+    fmt::print("{:<40} {:<10} {:3.0f}%  {}\n", job.job_id(), JobStateName(job.state()), job.fraction() * 100.0, job.name());
+  }
+  return kExitDone;
+}
+
+int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id) {
+  Client client = MakeClient(remote);
+  const Result<v1::JobStatus> job = GetJob(&client, job_id);
+  if (!job.ok()) return Report(job.status());
+  ShowJob(remote, *job);
+  return kExitDone;
+}
+
+int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id) {
+  Client client = MakeClient(remote);
+  const Result<v1::JobStatus> job = Watch(&client, remote, job_id);
+  if (!job.ok()) return Report(job.status());
+  ShowJob(remote, *job);
+  if (job->state() == v1::JOB_DONE) return kExitDone;
+  PrintError("job " + job_id + " " + (job->error().empty() ? "is " + JobStateName(job->state()) : "failed: " + job->error()));
+  return kExitFailed;
+}
+
+int RunCancelCommand(const RemoteOptions& remote, const std::string& job_id) {
+  if (const Status status = CheckJobId(job_id); !status.ok()) return Report(status);
+  Client client = MakeClient(remote);
+  v1::Envelope question;
+  question.mutable_cancel_job()->set_job_id(job_id);
+  const Result<v1::Envelope> answer = client.Ask(question);
+  if (!answer.ok()) return Report(answer.status());
+  ShowJob(remote, answer->job_status());
+  return kExitDone;
+}
+
+int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, const fs::path& output, const fs::path& store) {
+  if (const Status status = CheckOutput(output); !status.ok()) return Report(status);
+  Client client = MakeClient(remote);
+  const Result<v1::JobStatus> job = GetJob(&client, job_id);
+  if (!job.ok()) return Report(job.status());
+  if (job->state() != v1::JOB_DONE) {
+    return Report(
+        Failed("job " + job_id + " is " + JobStateName(job->state()) + "; only the results of a job that is done can be fetched"));
+  }
+  const fs::path store_path = store.empty() ? fs::path(job->store_path()) : store;
+  std::error_code error;
+  if (!fs::is_directory(store_path, error)) {
+    return Report(NotFound("artefact store '" + store_path.string() +
+                           "' is not a folder on this machine; name the shared folder that the coordinator uses with --store"));
+  }
+  const Result<std::vector<PublishedFile>> files = PublishOutputs(*job, store_path, output, {});
+  if (!files.ok()) return Report(files.status());
+  ordered_json json = ordered_json::array();
+  for (const PublishedFile& file : *files) {
+    if (!remote.json && !remote.quiet) fmt::print("{:>10}  {}\n", FormatBytes(static_cast<double>(file.bytes)), file.path.string());
+    json.push_back({{"name", file.name}, {"path", file.path.string()}, {"bytes", file.bytes}, {"sha256", file.sha256}});
+  }
+  if (remote.json) fmt::print("{}\n", DumpJson(json));
+  return kExitDone;
+}
+
+int RunWorkersCommand(const RemoteOptions& remote) {
+  Client client = MakeClient(remote);
+  v1::Envelope question;
+  question.mutable_list_workers();
+  const Result<v1::Envelope> answer = client.Ask(question);
+  if (!answer.ok()) return Report(answer.status());
+  ordered_json json = ordered_json::array();
+  for (const v1::WorkerStatus& worker : answer->worker_list().workers()) {
+    json.push_back({{"worker_id", worker.worker_id()},
+                    {"host", worker.host()},
+                    {"pid", worker.pid()},
+                    {"running", worker.running_size()},
+                    {"last_seen_ms_ago", worker.last_seen_ms_ago()}});
+    if (!remote.json) {
+      fmt::print("{:<40} {}:{}  {} running, seen {:.1f} s ago\n", worker.worker_id(), worker.host(), worker.pid(), worker.running_size(),
+                 static_cast<double>(worker.last_seen_ms_ago()) / 1000.0);
+    }
+  }
+  if (remote.json) fmt::print("{}\n", DumpJson(json));
+  return kExitDone;
+}
+
+}  // namespace trem

@@ -1,0 +1,28 @@
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace trem {
+
+// Options that every command for a running coordinator shares.
+struct RemoteOptions {
+  std::string coordinator;  // Endpoint.
+  bool json = false;
+  bool quiet = false;
+};
+
+// Each returns the exit code of `trem`.
+int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
+                     const std::string& job_id);
+int RunListCommand(const RemoteOptions& remote);
+int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id);
+int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id);
+int RunCancelCommand(const RemoteOptions& remote, const std::string& job_id);
+// `store`: the artefact store as this machine sees it; empty: where the coordinator says it is.
+int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, const std::filesystem::path& output,
+                    const std::filesystem::path& store);
+int RunWorkersCommand(const RemoteOptions& remote);
+
+}  // namespace trem
