@@ -14,10 +14,13 @@ mkdir -p "$out"
 if [ $# -ge 1 ]; then
   sortie=$1
 else
-  sortie=$out/sortie
-  echo "quickstart: simulating a sortie over procedural ground in $sortie"
-  rm -rf "$sortie"
-  "$bin/trem" simulate -o "$sortie"
+  sortie=$out/sortie/sortie.textproto
+  if [ -f "$sortie" ]; then
+    echo "quickstart: using the simulated sortie of an earlier run; remove $out/sortie for a new one"
+  else
+    echo "quickstart: simulating a sortie over procedural ground in $out/sortie"
+    "$bin/trem" simulate -o "$out/sortie"
+  fi
 fi
 
 # A relative SORTIE is relative to where the user stands.
