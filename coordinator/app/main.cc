@@ -1,0 +1,163 @@
+// trem-coordinator: binds the endpoint, opens the log, and turns messages into events until it is told to stop.
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <chrono>
+#include <csignal>
+#include <exception>
+#include <iostream>
+#include <memory>
+#include <string>
+
+#include "coordinator/app/shell.h"
+#include "mosaic/base/file.h"
+#include "mosaic/base/log.h"
+#include "proto/channel/router_channel.h"
+
+namespace trem {
+namespace {
+
+constexpr int kExitUsage = 2;
+// Log writes are shared by messages that came in together, up to this many.
+constexpr int kBatchMax = 256;
+constexpr TimeMs kTickIntervalMs = 100;
+// When messages never cease, leases and lost workers are looked at this often all the same.
+constexpr TimeMs kTickIntervalBusyMs = 2'000;
+
+std::atomic<bool> stop_requested{false};
+std::atomic<const RouterChannel*> channel_to_wake{nullptr};
+
+void OnStopSignal(int) {
+  stop_requested = true;
+  if (const RouterChannel* channel = channel_to_wake.load()) channel->Wake();
+}
+
+struct CommandLine {
+  std::string state_folder;
+  std::string store_folder;
+  std::string endpoint;
+  std::string ready_file;
+  std::string log_level = "info";
+  bool die_with_parent = false;
+  ShellOptions shell;
+};
+
+void Describe(CLI::App* app, CommandLine* options) {
+  app->add_option("--state", options->state_folder, "Folder of the event log; created when missing")->required();
+  app->add_option("--store", options->store_folder, "Folder of the artefact store, shared with workers and clients")->required();
+  app->add_option("--bind", options->endpoint, "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one)")->required();
+  app->add_option("--ready-file", options->ready_file, "Write the endpoint, with its real port, to this file once bound");
+  app->add_option("--log-level", options->log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  app->add_flag("--die-with-parent", options->die_with_parent, "Stop when the process that started this one ends");
+  app->add_option("--lease-ms", options->shell.scheduler.lease_ms, "A task without progress for this long goes to another worker")
+      ->check(CLI::Range(100U, 86'400'000U))
+      ->capture_default_str();
+  app->add_option("--heartbeat-ms", options->shell.heartbeat_interval_ms, "Interval of heartbeats; a worker silent for 8 of them is lost")
+      ->check(CLI::Range(10U, 60'000U))
+      ->capture_default_str();
+  app->footer("Example:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7707");
+}
+
+// PR_SET_PDEATHSIG asks for SIGTERM when the parent ends; a parent that ended before that is noticed by its changed id.
+Status TieToParent(pid_t parent) {
+  if (prctl(PR_SET_PDEATHSIG, SIGTERM) != 0) return FromErrno("prctl(PR_SET_PDEATHSIG)", errno);
+  if (getppid() != parent) return Cancelled("the process that started this one has ended");
+  return {};
+}
+
+TimeMs NowMs() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+Status Serve(RouterChannel* channel, Shell* shell) {
+  TimeMs last_tick_ms = 0;
+  while (!stop_requested && !shell->shutdown_requested()) {
+    bool drained = false;
+    for (int i = 0; i < kBatchMax && !drained; ++i) {
+      const auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 ? kTickIntervalMs : 0));
+      drained = !incoming.has_value();
+      if (drained) break;
+      if (incoming->envelope.ok()) {
+        shell->Receive(NowMs(), incoming->peer, *incoming->envelope);
+      } else {
+        shell->ReceiveBroken(incoming->peer, incoming->envelope.status());
+      }
+    }
+    const TimeMs now_ms = NowMs();
+    const TimeMs since_tick_ms = now_ms - last_tick_ms;
+    if (since_tick_ms >= kTickIntervalBusyMs || (drained && since_tick_ms >= kTickIntervalMs)) {
+      shell->Tick(now_ms);
+      last_tick_ms = now_ms;
+    }
+    TREM_RETURN_IF_ERROR(shell->Flush());
+  }
+  return {};
+}
+
+Status RunCoordinator(const CommandLine& options, pid_t parent) {
+  if (options.die_with_parent) TREM_RETURN_IF_ERROR(TieToParent(parent));
+  TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
+  TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
+                        EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
+  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<RouterChannel> channel, RouterChannel::Bind(options.endpoint));
+  TREM_ASSIGN_OR_RETURN(
+      const std::unique_ptr<Shell> shell,
+      Shell::Create(std::move(events), std::move(artefacts), options.shell,
+                    [&channel](const std::string& peer, const v1::Envelope& envelope) { return channel->Send(peer, envelope); }));
+  channel_to_wake = channel.get();
+  spdlog::info("listening on {}", channel->endpoint());
+  Status status;
+  if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n");
+  if (status.ok()) status = Serve(channel.get(), shell.get());
+  channel_to_wake = nullptr;
+  if (status.ok()) spdlog::info("stopped; everything that was acknowledged is in the log");
+  return status;
+}
+
+int ExitCode(const Status& status) {
+  switch (status.code()) {
+    case StatusCode::kOk:
+      return 0;
+    case StatusCode::kInvalidInput:
+    case StatusCode::kNotFound:
+      return 3;
+    case StatusCode::kUnavailable:
+      return 4;
+    default:
+      return 1;
+  }
+}
+
+int Main(int argc, char** argv) {
+  const pid_t parent = getppid();
+  CLI::App app{"Hands the tasks of mapping jobs to trem workers and keeps what they found.", "trem-coordinator"};
+  app.set_version_flag("--version", TREM_VERSION);
+  CommandLine options;
+  Describe(&app, &options);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : kExitUsage;
+  }
+  ConfigureLog("trem-coordinator", options.log_level);
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGTERM, OnStopSignal);
+  std::signal(SIGINT, OnStopSignal);
+  const Status status = RunCoordinator(options, parent);
+  if (!status.ok()) spdlog::error("{}", status.message());
+  return ExitCode(status);
+}
+
+}  // namespace
+}  // namespace trem
+
+int main(int argc, char** argv) {
+  try {
+    return trem::Main(argc, argv);
+  } catch (const std::exception& error) {
+    std::cerr << "trem-coordinator: " << error.what() << '\n';
+    return 1;
+  }
+}

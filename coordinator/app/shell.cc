@@ -1,0 +1,314 @@
+#include "coordinator/app/shell.h"
+
+#include <spdlog/spdlog.h>
+
+#include "mosaic/base/version.h"
+#include "proto/codec/convert.h"
+#include "proto/codec/envelope.h"
+#include "proto/codec/sortie_spec.h"
+
+namespace trem {
+namespace {
+
+Attempt FromProto(const v1::TaskAttempt& message) { return {message.task_key(), message.attempt()}; }
+
+void ToProto(const Attempt& attempt, v1::TaskAttempt* message) {
+  message->set_task_key(attempt.task_key);
+  message->set_attempt(attempt.number);
+}
+
+TaskDoneEvent MakeDoneEvent(const std::string& worker_id, const v1::Done& done) {
+  TaskDoneEvent event;
+  event.worker_id = worker_id;
+  event.attempt = FromProto(done.attempt());
+  event.code = static_cast<StatusCode>(done.status_code());
+  event.message = done.message();
+  event.result = done.result();
+  event.elapsed_ms = done.elapsed_ms();
+  event.peak_memory_bytes = done.peak_memory_bytes();
+  return event;
+}
+
+v1::Envelope ErrorEnvelope(const Status& status) {
+  v1::Envelope envelope;
+  envelope.mutable_error()->set_status_code(static_cast<std::uint32_t>(status.code()));
+  envelope.mutable_error()->set_message(status.message());
+  return envelope;
+}
+
+}  // namespace
+
+Shell::Shell(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options, SendFunction send)
+    : events_(std::move(events)),
+      artefacts_(std::move(artefacts)),
+      options_(options),
+      send_(std::move(send)),
+      scheduler_(options.scheduler) {}
+
+Result<std::unique_ptr<Shell>> Shell::Create(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options,
+                                             SendFunction send) {
+  std::unique_ptr<Shell> shell(new Shell(std::move(events), std::move(artefacts), options, std::move(send)));
+  TREM_RETURN_IF_ERROR(shell->Replay());
+  return shell;
+}
+
+// ---- The log ----------------------------------------------------------------------------------------------------------------------
+
+Status Shell::Replay() {
+  std::int64_t event_count = 0;
+  std::int64_t missing_count = 0;
+  TREM_RETURN_IF_ERROR(events_->Replay([&](std::int64_t sequence, const v1::LogEvent& event) -> Status {
+    ++event_count;
+    if (event.has_task_committed() && !ArtefactsArePresent(event.task_committed())) {
+      ++missing_count;
+      return {};
+    }
+    const Status status = scheduler_.Restore(event);
+    return status.ok() ? status : status.WithPrefix(events_->path().string() + ", event " + std::to_string(sequence));
+  }));
+  if (event_count > 0) spdlog::info("restored {} events from {}", event_count, events_->path().string());
+  if (missing_count > 0) spdlog::warn("{} finished tasks will run again where they are needed: their artefacts are gone", missing_count);
+  return {};
+}
+
+bool Shell::ArtefactsArePresent(const v1::TaskCommitted& committed) const {
+  for (const v1::ArtefactRef& output : committed.result().outputs()) {
+    const auto located = artefacts_.Locate(::trem::FromProto(output));
+    if (located.ok()) continue;
+    spdlog::warn("task {}: {}", committed.task_key(), located.status().message());
+    return false;
+  }
+  return true;
+}
+
+void Shell::Feed(TimeMs now_ms, const Event& event) {
+  for (const Effect& effect : scheduler_.Step(now_ms, event)) Take(effect);
+}
+
+void Shell::Take(const Effect& effect) {
+  v1::Envelope envelope;
+  if (const auto* append = std::get_if<AppendEffect>(&effect)) {
+    unlogged_.push_back(append->event);
+  } else if (const auto* dispatch = std::get_if<DispatchEffect>(&effect)) {
+    spdlog::debug("{} attempt {} -> worker {}", v1::TaskKind_Name(dispatch->task.kind()), dispatch->attempt, dispatch->worker_id);
+    *envelope.mutable_dispatch()->mutable_task() = dispatch->task;
+    envelope.mutable_dispatch()->set_attempt(dispatch->attempt);
+    envelope.mutable_dispatch()->set_lease_ms(dispatch->lease_ms);
+    SendToWorker(dispatch->worker_id, std::move(envelope));
+  } else if (const auto* ack = std::get_if<AckEffect>(&effect)) {
+    ToProto(ack->attempt, envelope.mutable_ack()->mutable_attempt());
+    SendToWorker(ack->worker_id, std::move(envelope));
+  } else if (const auto* cancel = std::get_if<CancelTaskEffect>(&effect)) {
+    ToProto(cancel->attempt, envelope.mutable_cancel_task()->mutable_attempt());
+    envelope.mutable_cancel_task()->set_reason(cancel->reason);
+    SendToWorker(cancel->worker_id, std::move(envelope));
+  } else if (const auto* changed = std::get_if<JobChangedEffect>(&effect)) {
+    const auto status = scheduler_.JobStatus(changed->job_id);
+    spdlog::info("job {}: {}{}{}", changed->job_id, v1::JobState_Name(status->state()), status->error().empty() ? "" : ": ",
+                 status->error());
+  } else if (const auto* log = std::get_if<LogEffect>(&effect)) {
+    spdlog::warn("{}", log->text);
+  }
+}
+
+Status Shell::Flush() {
+  TREM_RETURN_IF_ERROR(events_->Append(unlogged_));
+  unlogged_.clear();
+  for (const auto& [peer, envelope] : unsent_) {
+    if (send_(peer, envelope) || !envelope.has_dispatch()) continue;
+    // The worker is gone or deaf: no need to wait for its heartbeats to stay away.
+    if (const auto worker = worker_ids_.find(peer); worker != worker_ids_.end()) {
+      workers_.at(worker->second).last_heard_ms = 0;
+    }
+  }
+  unsent_.clear();
+  return {};
+}
+
+void Shell::SendTo(const std::string& peer, v1::Envelope envelope) { unsent_.emplace_back(peer, std::move(envelope)); }
+
+void Shell::SendToWorker(const std::string& worker_id, v1::Envelope envelope) {
+  const auto worker = workers_.find(worker_id);
+  if (worker != workers_.end()) SendTo(worker->second.peer, std::move(envelope));
+}
+
+void Shell::Refuse(const std::string& peer, const Status& status) { SendTo(peer, ErrorEnvelope(status)); }
+
+// ---- Messages ---------------------------------------------------------------------------------------------------------------------
+
+void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope) {
+  switch (envelope.body_case()) {
+    case v1::Envelope::kHello:
+      return OnHello(now_ms, peer, envelope.hello());
+    case v1::Envelope::kProgress:
+    case v1::Envelope::kDone:
+    case v1::Envelope::kGoodbye:
+    case v1::Envelope::kHeartbeat:
+      return OnWorkerMessage(now_ms, peer, envelope);
+    case v1::Envelope::kSubmitJob:
+      return OnSubmitJob(now_ms, peer, envelope.submit_job());
+    case v1::Envelope::kGetJob:
+      return ReplyJobStatus(peer, envelope.get_job().job_id());
+    case v1::Envelope::kListJobs:
+      return ReplyJobList(peer);
+    case v1::Envelope::kCancelJob:
+      return OnCancelJob(now_ms, peer, envelope.cancel_job());
+    case v1::Envelope::kListWorkers:
+      return OnListWorkers(now_ms, peer);
+    case v1::Envelope::kShutdown: {
+      spdlog::info("a client asked for the end");
+      shutdown_requested_ = true;
+      v1::Envelope reply;
+      reply.mutable_bye();
+      return SendTo(peer, std::move(reply));
+    }
+    default:
+      return Refuse(peer, InvalidInput("the coordinator does not take messages of kind " + std::to_string(envelope.body_case())));
+  }
+}
+
+void Shell::ReceiveBroken(const std::string& peer, const Status& status) {
+  spdlog::warn("a message was refused: {}", status.message());
+  Refuse(peer, status);
+}
+
+void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hello) {
+  Status refusal;
+  if (hello.protocol_version() != kProtocolVersion) {
+    refusal = InvalidInput("worker " + hello.worker_id() + " speaks protocol version " + std::to_string(hello.protocol_version()) +
+                           "; this coordinator speaks version " + std::to_string(kProtocolVersion) + ": run the same release of both");
+  } else if (hello.engine_revision() != kEngineRevision) {
+    refusal = InvalidInput("worker " + hello.worker_id() + " has engine revision '" + hello.engine_revision() +
+                           "'; this coordinator has '" + kEngineRevision + "': run the same release of both");
+  }
+  if (!refusal.ok()) {
+    spdlog::warn("{}", refusal.message());
+    return Refuse(peer, refusal);
+  }
+  // The connection may have belonged to another process, and the worker may have come back on another connection.
+  if (const auto old = worker_ids_.find(peer); old != worker_ids_.end() && old->second != hello.worker_id()) {
+    const std::string old_id = old->second;
+    Feed(now_ms, WorkerLostEvent{old_id});
+    ForgetWorker(old_id);
+  }
+  const bool is_new = workers_.count(hello.worker_id()) == 0;
+  if (!is_new) worker_ids_.erase(workers_.at(hello.worker_id()).peer);
+  workers_[hello.worker_id()] = {peer, now_ms};
+  worker_ids_[peer] = hello.worker_id();
+  if (is_new) spdlog::info("worker {} (process {} on {}) joined", hello.worker_id(), hello.pid(), hello.host());
+
+  v1::Envelope welcome;
+  welcome.mutable_welcome()->set_heartbeat_interval_ms(options_.heartbeat_interval_ms);
+  welcome.mutable_welcome()->set_store_path(artefacts_.root().string());
+  SendTo(peer, std::move(welcome));
+
+  WorkerHelloEvent event;
+  event.worker_id = hello.worker_id();
+  event.host = hello.host();
+  event.pid = hello.pid();
+  event.credit = hello.credit();
+  event.memory_bytes_max = hello.memory_bytes_max();
+  for (const v1::TaskAttempt& attempt : hello.running()) event.running.push_back(FromProto(attempt));
+  Feed(now_ms, event);
+}
+
+void Shell::OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope) {
+  const auto found = worker_ids_.find(peer);
+  if (found == worker_ids_.end()) {
+    // After a restart of the coordinator, or when the worker was taken for lost: it has to say again who it is and what it runs.
+    if (!envelope.has_goodbye()) Refuse(peer, Unavailable("the coordinator does not know this worker (any more); say Hello"));
+    return;
+  }
+  const std::string worker_id = found->second;
+  workers_.at(worker_id).last_heard_ms = now_ms;
+  if (envelope.has_progress()) {
+    Feed(now_ms, ProgressEvent{worker_id, FromProto(envelope.progress().attempt()), envelope.progress().fraction()});
+  } else if (envelope.has_done()) {
+    Feed(now_ms, MakeDoneEvent(worker_id, envelope.done()));
+  } else if (envelope.has_goodbye()) {
+    spdlog::info("worker {} left: {}", worker_id, envelope.goodbye().reason());
+    Feed(now_ms, WorkerGoodbyeEvent{worker_id});
+    ForgetWorker(worker_id);
+  }
+}
+
+void Shell::OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::SubmitJob& submit) {
+  if (!IsJobId(submit.job_id())) {
+    return Refuse(peer, InvalidInput("job id '" + submit.job_id().substr(0, 80) + "' is malformed; expected 1 to 64 of a-z, 0-9 and '-'"));
+  }
+  v1::Sortie sortie = submit.sortie();
+  if (const Status status = CompleteSortie(&sortie); !status.ok()) return Refuse(peer, status);
+  const v1::Sortie* known = scheduler_.FindSortie(submit.job_id());
+  if (known != nullptr && SerializeDeterministic(*known) != SerializeDeterministic(sortie)) {
+    return Refuse(peer, InvalidInput("job '" + submit.job_id() + "' exists with another sortie; choose another job id"));
+  }
+  Feed(now_ms, SubmitJobEvent{submit.job_id(), sortie});
+  ReplyJobStatus(peer, submit.job_id());
+}
+
+void Shell::OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel) {
+  if (scheduler_.FindSortie(cancel.job_id()) != nullptr) Feed(now_ms, CancelJobEvent{cancel.job_id()});
+  ReplyJobStatus(peer, cancel.job_id());
+}
+
+void Shell::OnListWorkers(TimeMs now_ms, const std::string& peer) {
+  v1::Envelope reply;
+  v1::WorkerList* list = reply.mutable_worker_list();
+  for (v1::WorkerStatus& status : scheduler_.WorkerStatuses()) {
+    if (const auto worker = workers_.find(status.worker_id()); worker != workers_.end()) {
+      status.set_last_seen_ms_ago(static_cast<std::uint64_t>(now_ms - worker->second.last_heard_ms));
+    }
+    *list->add_workers() = std::move(status);
+  }
+  SendTo(peer, std::move(reply));
+}
+
+void Shell::ReplyJobStatus(const std::string& peer, const std::string& job_id) {
+  const auto status = scheduler_.JobStatus(job_id);
+  if (!status.has_value()) return Refuse(peer, NotFound("there is no job '" + job_id.substr(0, 80) + "'; `trem list` shows all"));
+  v1::Envelope reply;
+  *reply.mutable_job_status() = *status;
+  reply.mutable_job_status()->set_store_path(artefacts_.root().string());
+  SendTo(peer, std::move(reply));
+}
+
+void Shell::ReplyJobList(const std::string& peer) {
+  v1::Envelope reply;
+  for (v1::JobStatus& status : scheduler_.JobStatuses()) {
+    status.clear_notes();  // GetJob tells them; thousands of jobs with notes would not fit one message.
+    status.set_store_path(artefacts_.root().string());
+    *reply.mutable_job_list()->add_jobs() = std::move(status);
+  }
+  SendTo(peer, std::move(reply));
+}
+
+void Shell::ForgetWorker(const std::string& worker_id) {
+  const auto worker = workers_.find(worker_id);
+  if (worker == workers_.end()) return;
+  worker_ids_.erase(worker->second.peer);
+  workers_.erase(worker);
+}
+
+void Shell::Tick(TimeMs now_ms) {
+  const TimeMs silence_ms_max = static_cast<TimeMs>(options_.heartbeat_interval_ms) * options_.heartbeats_missed_max;
+  std::vector<std::string> lost;
+  for (const auto& [worker_id, worker] : workers_) {
+    if (now_ms - worker.last_heard_ms > silence_ms_max) lost.push_back(worker_id);
+  }
+  for (const std::string& worker_id : lost) {
+    spdlog::warn("worker {} was silent for more than {} ms and is taken for lost", worker_id, silence_ms_max);
+    Feed(now_ms, WorkerLostEvent{worker_id});
+    ForgetWorker(worker_id);
+  }
+  Feed(now_ms, TickEvent{});
+  if (now_ms >= next_heartbeat_ms_) {
+    next_heartbeat_ms_ = now_ms + options_.heartbeat_interval_ms;
+    for (const auto& [worker_id, worker] : workers_) {
+      v1::Envelope heartbeat;
+      heartbeat.mutable_heartbeat();
+      SendTo(worker.peer, std::move(heartbeat));
+    }
+  }
+}
+
+}  // namespace trem

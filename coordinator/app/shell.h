@@ -1,0 +1,92 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "coordinator/scheduling/scheduler.h"
+#include "coordinator/store/event_store.h"
+#include "mosaic/base/artefact_store.h"
+#include "mosaic/base/status.h"
+#include "proto/trem/v1/fleet.pb.h"
+
+namespace trem {
+
+struct ShellOptions {
+  SchedulerOptions scheduler;
+  // How often coordinator and workers let each other hear of them when there is nothing to say.
+  std::uint32_t heartbeat_interval_ms = 500;
+  // A worker that was silent for this many intervals is lost and its tasks go to others. Fewer: a stopped worker is noticed sooner, but a
+  // busy machine may lose live ones.
+  std::uint32_t heartbeats_missed_max = 8;
+};
+
+// What stands between the outside and the pure scheduler: turns messages into events, makes the scheduler's log events durable, and
+// only then lets messages leave. Knows no socket (it is given a function to send with) and no clock (it is given the time), so tests
+// drive it by hand. Not thread-safe.
+class Shell {
+ public:
+  // Delivers one message; false when the peer is not reachable.
+  using SendFunction = std::function<bool(const std::string& peer, const v1::Envelope& envelope)>;
+
+  // Rebuilds the state from the log. A committed task whose artefacts are missing from `artefacts` is run again.
+  static Result<std::unique_ptr<Shell>> Create(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options,
+                                               SendFunction send);
+
+  // Takes one message in. What is to be sent waits for Flush.
+  void Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
+  // A message that could not be decoded.
+  void ReceiveBroken(const std::string& peer, const Status& status);
+  // Heartbeats, lost workers, ended leases. Call every 100 ms or so, when every message that waited has been taken in.
+  void Tick(TimeMs now_ms);
+  // Appends what must survive to the log, then sends. On failure (kExhausted: the disk is full) nothing has left, and the state is ahead of
+  // the log: the caller has to give up, and a new Shell starts from the log.
+  Status Flush();
+
+  // A client asked for the end.
+  bool shutdown_requested() const { return shutdown_requested_; }
+
+ private:
+  struct Peer {
+    std::string peer;  // Identity of its connection.
+    TimeMs last_heard_ms = 0;
+  };
+
+  Shell(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options, SendFunction send);
+
+  Status Replay();
+  bool ArtefactsArePresent(const v1::TaskCommitted& committed) const;
+  void Feed(TimeMs now_ms, const Event& event);
+  void Take(const Effect& effect);
+  void SendTo(const std::string& peer, v1::Envelope envelope);
+  void SendToWorker(const std::string& worker_id, v1::Envelope envelope);
+  void Refuse(const std::string& peer, const Status& status);
+
+  void OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hello);
+  void OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
+  void OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::SubmitJob& submit);
+  void OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel);
+  void OnListWorkers(TimeMs now_ms, const std::string& peer);
+  void ReplyJobStatus(const std::string& peer, const std::string& job_id);
+  void ReplyJobList(const std::string& peer);
+  void ForgetWorker(const std::string& worker_id);
+
+  std::unique_ptr<EventStore> events_;
+  ArtefactStore artefacts_;
+  ShellOptions options_;
+  SendFunction send_;
+  Scheduler scheduler_;
+  std::map<std::string, Peer> workers_;            // Worker id -> connection.
+  std::map<std::string, std::string> worker_ids_;  // Connection -> worker id.
+  std::vector<v1::LogEvent> unlogged_;
+  std::vector<std::pair<std::string, v1::Envelope>> unsent_;
+  TimeMs next_heartbeat_ms_ = 0;
+  bool shutdown_requested_ = false;
+};
+
+}  // namespace trem
