@@ -1,0 +1,60 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "mosaic/align/align_graph.h"
+
+namespace trem::align {
+
+// A camera in the working world; see geometry/camera.h for its axes.
+struct Camera {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d world_from_camera = Eigen::Matrix3d::Identity();
+  double focal_px = 1.0;
+};
+
+Camera CameraFromAnchor(const FrameAnchor& anchor);
+// world_from_sensor on the plane z = ground_z_m; Depth() > 0 below the horizon.
+Homography GroundFromCamera(const Camera& camera, const AlignInput& input);
+
+struct FrameState {
+  std::optional<Camera> camera;   // Frames with a pose: the map follows from it.
+  Homography world_from_sensor;   // Of the others it is free.
+  double log_scale0 = 0.0;        // Without telemetry: log of the linear scale at the image centre that the chain suggests.
+  int piece = -1;                 // -1: not placed.
+  bool gauge = false;             // Held fixed: the reference of a piece without telemetry.
+};
+
+struct SceneState {
+  Homography world_from_scene;
+  int piece = -1;
+};
+
+// Current values of all unknowns, parallel to AlignGraph::frames and ::scenes.
+struct AlignState {
+  std::vector<FrameState> frames;
+  std::vector<SceneState> scenes;
+  std::vector<bool> piece_anchored;  // A piece whose frames include one with telemetry.
+  // Shared errors of telemetry (true = telemetry + bias): metres, and radians about the camera's axes.
+  Eigen::Vector3d position_bias_m = Eigen::Vector3d::Zero();
+  Eigen::Vector3d attitude_bias_rad = Eigen::Vector3d::Zero();
+  // Ties that were left out because the ROI reaches the horizon in that frame.
+  std::vector<bool> tie_unusable;
+};
+
+// Initial values: frames with telemetry from it, everything else breadth first over the graph of ties; in each connected component
+// ("piece") without telemetry the middle frame is the reference, with x right and y up. Maps found along the chain are affine.
+AlignState InitialState(const AlignGraph& graph);
+
+// Joins pieces that content ties connect: the piece that is not anchored (of two such: the one with the higher number) is moved onto the
+// other by the similarity that fits the tie's points best. Pieces are renumbered 0, 1, ... in order of their first frame.
+// Returns the number of joins.
+int JoinPieces(const AlignGraph& graph, std::span<const ContentTie> ties, AlignState& state);
+
+// Whether all four corners of the view's ROI see the ground at less than 20 times the distance per pixel of its centre.
+bool RoiSeesGround(const Homography& world_from_sensor, const Roi& roi_in_sensor);
+
+}  // namespace trem::align
