@@ -1,0 +1,143 @@
+#include "tests/unit/mosaic/align/synthetic.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <utility>
+
+#include "mosaic/align/align_graph.h"
+#include "mosaic/base/check.h"
+#include "mosaic/base/rng.h"
+
+namespace trem::align {
+namespace {
+
+constexpr double kRad = std::numbers::pi / 180.0;
+constexpr int kWidth = 256;
+constexpr int kHeight = 200;
+constexpr double kAltitudeM = 400.0;
+constexpr double kHfovDeg = 8.0;
+constexpr int kWindowFrames = 20;
+constexpr int kWindowOverlap = 6;
+constexpr int kEmitEvery = 7;
+
+CameraPose TruePose(const SyntheticOptions& options, int t, double leg_spacing_m, Rng& rng) {
+  const int leg = options.leg_frames > 0 ? t / options.leg_frames : 0;
+  const int along = options.leg_frames > 0 ? t % options.leg_frames : t;
+  const double step = options.leg_frames > 0 && leg % 2 == 1 ? options.leg_frames - 1 - along : along;
+  CameraPose pose;
+  const double stand_off_m = kAltitudeM / std::tan(-options.pitch_deg * kRad);
+  pose.position_m = {step * options.speed_m + 0.1 * rng.Normal(), leg * leg_spacing_m - stand_off_m + 0.1 * rng.Normal(), kAltitudeM + 0.1 * rng.Normal()};
+  pose.yaw_rad = options.roll_jitter_deg * kRad * rng.Normal();
+  pose.pitch_rad = options.pitch_deg * kRad + options.roll_jitter_deg * kRad * rng.Normal();
+  pose.roll_rad = options.roll_jitter_deg * kRad * rng.Normal();
+  return pose;
+}
+
+void AddAnchors(const SyntheticOptions& options, const std::vector<CameraPose>& poses, double focal_px, SyntheticSortie& sortie) {
+  Rng rng({options.seed, 2});
+  const Eigen::Vector3d bias = options.position_bias_m * Eigen::Vector3d(rng.Normal(), rng.Normal(), rng.Normal());
+  const Eigen::Vector3d attitude_bias = options.attitude_bias_deg * kRad * Eigen::Vector3d(rng.Normal(), rng.Normal(), rng.Normal());
+  for (std::size_t t = 0; t < poses.size(); ++t) {
+    CameraPose told = poses[t];
+    for (int k = 0; k < 3; ++k) told.position_m(k) += bias(k) + options.position_white_m * rng.Normal();
+    told.yaw_rad += attitude_bias.x() + options.attitude_white_deg * kRad * rng.Normal();
+    told.pitch_rad += attitude_bias.y() + options.attitude_white_deg * kRad * rng.Normal();
+    told.roll_rad += attitude_bias.z() + options.attitude_white_deg * kRad * rng.Normal();
+    sortie.input.anchors.push_back({static_cast<std::uint32_t>(t), told, focal_px, std::nullopt});
+  }
+}
+
+// The views of frames [begin, end) of one ROI, and the scenes emitted on the way.
+Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sortie, const Homography& world_from_scene, const Roi& roi, int begin, int end,
+                    double gain, double offset, Rng& rng) {
+  Segment segment;
+  segment.roi_in_sensor = roi;
+  const auto corners = RoiCorners(roi);
+  const double variance = std::max(1e-8, options.view_sigma_px * options.view_sigma_px);
+  for (int t = begin; t < end; ++t) {
+    const auto frame = static_cast<std::size_t>(t);
+    const Homography scene_from_sensor = world_from_scene.Inverse() * sortie.world_from_sensor[frame];
+    std::vector<Eigen::Vector2d> x;
+    for (const Eigen::Vector2d& u : corners) x.push_back(scene_from_sensor * u);
+    const Affine clean = *FitAffine(corners, x);
+    // The estimate's sensor_from_scene is off by independent displacements of the upper left, upper right and lower left corner.
+    const std::vector<Eigen::Vector2d> three = {corners[0], corners[1], corners[3]};
+    std::vector<Eigen::Vector2d> displaced;
+    for (const Eigen::Vector2d& u : three) displaced.push_back(u + options.view_sigma_px * Eigen::Vector2d(rng.Normal(), rng.Normal()));
+    ChainView view;
+    view.frame = static_cast<std::uint32_t>(t);
+    view.scene_from_sensor = clean * *FitAffine(displaced, three);
+    view.corner_covariance_px2 = variance * Matrix6d::Identity();
+    view.gain = sortie.frame_gain[frame] / gain * std::exp(0.001 * rng.Normal());
+    view.offset = sortie.frame_offset[frame] - view.gain * offset + 0.05 * rng.Normal();
+    view.gain_offset_covariance << 1e-6, 0.0, 0.0, 2.5e-3;
+    segment.chain.push_back(view);
+  }
+  for (int t = begin, id = 0; t < end; t += kEmitEvery, ++id) {
+    Scene scene;
+    scene.scene_id = static_cast<std::uint32_t>(id);
+    scene.frame_begin = static_cast<std::uint32_t>(t);
+    scene.frame_end = static_cast<std::uint32_t>(std::min(end, t + kEmitEvery));
+    const Affine& middle = segment.chain[static_cast<std::size_t>((scene.frame_begin + scene.frame_end) / 2 - static_cast<std::uint32_t>(begin))].scene_from_sensor;
+    Eigen::Vector2d low = middle * corners[0], high = low;
+    for (const Eigen::Vector2d& u : corners) {
+      low = low.cwiseMin(middle * u);
+      high = high.cwiseMax(middle * u);
+    }
+    scene.roi_in_scene = {static_cast<int>(std::floor(low.x())), static_cast<int>(std::floor(low.y())), static_cast<int>(std::ceil(high.x())) + 1,
+                          static_cast<int>(std::ceil(high.y())) + 1};
+    segment.scenes.push_back(scene);
+  }
+  return segment;
+}
+
+}  // namespace
+
+SyntheticSortie MakeSortie(const SyntheticOptions& options) {
+  SyntheticSortie sortie;
+  AlignInput& input = sortie.input;
+  input.width_px = kWidth;
+  input.height_px = kHeight;
+  input.ratio = 3;
+  input.position_sigma_m = std::max(0.05, options.position_bias_m);
+  input.attitude_sigma_rad = std::max(0.005, std::max(options.attitude_bias_deg, options.attitude_white_deg)) * kRad;
+  const CameraIntrinsics intrinsics{kWidth, kHeight, FocalFromHorizontalFov(kWidth, kHfovDeg * kRad)};
+  sortie.gsd_m = kAltitudeM / intrinsics.focal_px;
+
+  std::vector<CameraPose> poses;
+  Rng rng({options.seed, 1});
+  for (int t = 0; t < options.frame_count; ++t) {
+    poses.push_back(TruePose(options, t, 0.5 * kHeight * sortie.gsd_m, rng));
+    sortie.world_from_sensor.push_back(GroundFromSensor(poses.back(), intrinsics, 0.0));
+    sortie.frame_gain.push_back(std::exp(options.gain_sigma * rng.Normal()));
+    sortie.frame_offset.push_back(options.offset_sigma * rng.Normal());
+  }
+  if (options.telemetry) AddAnchors(options, poses, intrinsics.focal_px, sortie);
+
+  const std::vector<Roi> rois = {{0, 0, 141, 111}, {115, 0, 256, 111}, {0, 89, 141, 200}, {115, 89, 256, 200}};
+  std::vector<std::pair<int, int>> spans = {{0, options.frame_count}};
+  if (options.gap_after_frame >= 0) spans = {{0, options.gap_after_frame + 1}, {options.gap_after_frame + 1, options.frame_count}};
+  std::uint32_t window_id = 0;
+  for (const auto& [span_begin, span_end] : spans) {
+    for (int begin = span_begin; begin < span_end; begin += kWindowFrames - kWindowOverlap) {
+      const int end = std::min(span_end, begin + kWindowFrames);
+      for (const Roi& roi : rois) {
+        Homography sensor_from_scene;
+        sensor_from_scene.matrix << 1.0 / 3.0, 0.0, roi.x0, 0.0, 1.0 / 3.0, roi.y0, 0.0, 0.0, 1.0;
+        const auto first = static_cast<std::size_t>(begin);
+        const Homography world_from_scene = sortie.world_from_sensor[first] * sensor_from_scene;
+        Segment segment = MakeSegment(options, sortie, world_from_scene, roi, begin, end, sortie.frame_gain[first], sortie.frame_offset[first], rng);
+        segment.window_id = window_id++;
+        input.segments.push_back(std::move(segment));
+        sortie.world_from_scene.push_back(world_from_scene);
+        sortie.scene_gain.push_back(sortie.frame_gain[first]);
+        sortie.scene_offset.push_back(sortie.frame_offset[first]);
+      }
+      if (end == span_end) break;
+    }
+  }
+  return sortie;
+}
+
+}  // namespace trem::align
