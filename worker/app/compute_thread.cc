@@ -1,0 +1,50 @@
+#include "worker/app/compute_thread.h"
+
+#include <utility>
+
+namespace trem {
+
+ComputeThread::ComputeThread(Task task, std::function<void()> on_finished) : task_(std::move(task)), on_finished_(std::move(on_finished)) {}
+
+ComputeThread::~ComputeThread() {
+  Cancel();
+  if (thread_.joinable()) thread_.join();
+}
+
+void ComputeThread::Start(v1::TaskSpec spec) {
+  TREM_CHECK(!thread_.joinable());
+  spec_ = std::move(spec);
+  has_ended_ = false;
+  cancelled_ = false;
+  fraction_ = 0.0;
+  taken_report_count_ = report_count_;
+  thread_ = std::thread([this] {
+    const auto start = std::chrono::steady_clock::now();
+    Result<v1::TaskResult> result = task_(spec_, [this](double fraction) { return Report(fraction); });
+    finished_ =
+        Finished{std::move(result), std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now() - start)};
+    has_ended_ = true;
+    on_finished_();
+  });
+}
+
+bool ComputeThread::Report(double fraction) {
+  fraction_ = fraction >= 0.0 ? (fraction <= 1.0 ? fraction : 1.0) : 0.0;  // NaN becomes 0.
+  ++report_count_;
+  return !cancelled_;
+}
+
+std::optional<double> ComputeThread::TakeProgress() {
+  const std::uint64_t count = report_count_;
+  if (count == taken_report_count_) return std::nullopt;
+  taken_report_count_ = count;
+  return fraction_.load();
+}
+
+std::optional<ComputeThread::Finished> ComputeThread::TakeFinished() {
+  if (!thread_.joinable() || !has_ended_) return std::nullopt;
+  thread_.join();
+  return std::exchange(finished_, std::nullopt);
+}
+
+}  // namespace trem

@@ -1,0 +1,12 @@
+#pragma once
+
+#include "proto/trem/v1/fleet.pb.h"
+#include "worker/app/compute_thread.h"
+
+namespace trem {
+
+// The Done of an attempt. Always a valid envelope: texts become UTF-8 and are cut to a length that suits a message, and a result that
+// breaks the contract (say, a count that is not finite) becomes a kFailed that says so.
+v1::Envelope MakeDone(const v1::TaskAttempt& attempt, const ComputeThread::Finished& finished);
+
+}  // namespace trem

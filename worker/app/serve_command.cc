@@ -1,0 +1,124 @@
+#include "worker/app/serve_command.h"
+
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cctype>
+#include <csignal>
+#include <cstdint>
+#include <iostream>
+#include <random>
+#include <string>
+
+#include "mosaic/base/artefact_store.h"
+#include "mosaic/base/log.h"
+#include "worker/app/exit_code.h"
+#include "worker/app/worker_loop.h"
+#include "worker/tasks/task.h"
+
+namespace trem {
+namespace {
+
+struct ServeOptions {
+  std::string coordinator;
+  std::string store;
+  std::uint64_t memory_bytes_max = 0;
+  std::uint32_t give_up_s = 0;
+  bool die_with_parent = false;
+  std::string log_level = "info";
+};
+
+// Read by the signal handler.
+std::atomic<bool> stop_requested{false};
+std::atomic<const DealerChannel*> signalled_channel{nullptr};
+
+void OnStopSignal(int) {
+  stop_requested = true;
+  if (const DealerChannel* channel = signalled_channel) channel->Wake();
+}
+
+void InstallSignalHandlers() {
+  struct sigaction action {};
+  action.sa_handler = OnStopSignal;
+  ::sigaction(SIGTERM, &action, nullptr);
+  ::sigaction(SIGINT, &action, nullptr);
+  ::signal(SIGPIPE, SIG_IGN);
+}
+
+std::string HostName() {
+  std::array<char, 256> name{};
+  return ::gethostname(name.data(), name.size() - 1) == 0 && name[0] != '\0' ? std::string(name.data()) : "unknown";
+}
+
+// <host>-<pid>-<random>, in the letters that worker ids may have.
+std::string NewWorkerId(const std::string& host) {
+  constexpr std::size_t kHostLengthMax = 64;
+  std::string id = host.substr(0, kHostLengthMax);
+  std::transform(id.begin(), id.end(), id.begin(),
+                 [](unsigned char c) { return c < 0x80 && std::isalnum(c) != 0 ? static_cast<char>(std::tolower(c)) : '-'; });
+  constexpr char kDigits[] = "0123456789abcdef";
+  std::random_device random;
+  id += "-" + std::to_string(::getpid()) + "-";
+  for (int i = 0; i < 8; ++i) id += kDigits[random() % 16];
+  return id;
+}
+
+Status Serve(const ServeOptions& serve) {
+  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(serve.store));
+  WorkerOptions options;
+  options.host = HostName();
+  options.pid = static_cast<std::uint32_t>(::getpid());
+  options.worker_id = NewWorkerId(options.host);
+  options.memory_bytes_max = serve.memory_bytes_max;
+  options.give_up = std::chrono::seconds(serve.give_up_s);
+  ChannelOptions channel_options;
+  channel_options.identity = options.worker_id;
+  TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
+  signalled_channel = channel.get();
+  const auto task = [&store](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) {
+    return RunTask(spec, TaskContext{&store, progress});
+  };
+  const Status status = RunWorkerLoop(options, channel.get(), task, stop_requested);
+  signalled_channel = nullptr;
+  return status;
+}
+
+}  // namespace
+
+int RunServeCommand(int argc, char** argv) {
+  ServeOptions options;
+  CLI::App app("Joins a coordinator and computes its tasks, one at a time, until SIGTERM or SIGINT.", "trem-worker serve");
+  app.footer(
+      "Example:\n  trem-worker serve --coordinator ipc:///run/trem/socket --store /srv/trem/store\n\n"
+      "Exit codes: 0 stopped by a signal; 2 usage; 3 refused by the coordinator or invalid option; 4 coordinator not reachable;\n"
+      "9 a cancelled task did not stop; 1 other failures.");
+  app.add_option("--coordinator", options.coordinator, "Endpoint of the coordinator: ipc://PATH or tcp://127.0.0.1:PORT")->required();
+  app.add_option("--store", options.store, "Folder of the artefact store, the same as the coordinator's")->required();
+  app.add_option("--memory-max-bytes", options.memory_bytes_max, "Take no task that needs more memory (0: no limit)")
+      ->capture_default_str();
+  app.add_option("--give-up-s", options.give_up_s, "Exit after the coordinator was silent for so many seconds (0: never)")
+      ->capture_default_str();
+  app.add_flag("--die-with-parent", options.die_with_parent, "Stop when the process that started this one dies");
+  app.add_option("--log-level", options.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : kExitUsage;
+  }
+  ConfigureLog("trem-worker " + std::to_string(::getpid()), options.log_level);
+  InstallSignalHandlers();
+  if (options.die_with_parent) {
+    const pid_t parent = ::getppid();
+    ::prctl(PR_SET_PDEATHSIG, SIGTERM);
+    if (::getppid() != parent) return 0;  // It died before it could be watched.
+  }
+  const Status status = Serve(options);
+  if (!status.ok()) std::cerr << "trem-worker: " << status.message() << "\n";
+  return ExitCodeOf(status);
+}
+
+}  // namespace trem
