@@ -33,8 +33,9 @@ if [ "$status" -ne 0 ] && [ "$status" -ne 5 ]; then
   exit "$status"
 fi
 echo
-echo "quickstart: the mosaic:          $out/mosaic.tif"
-echo "quickstart: a picture of it:     $out/mosaic_preview.png"
+echo "quickstart: the mosaic:           $out/mosaic.tif"
+echo "quickstart: a picture of it:      $out/mosaic_preview.png"
+echo "quickstart: report with pictures: $out/mosaic_report.html"
 echo "quickstart: beside it:"
-ls -1 "$out" | grep '^mosaic_' | sed 's|^|  |'
+(cd "$out" && ls -1 mosaic_* | sed 's|^|  |')
 exit "$status"

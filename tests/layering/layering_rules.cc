@@ -114,6 +114,12 @@ std::string ToString(const std::vector<Violation>& violations) {
   return text;
 }
 
+std::vector<std::string> Folders() {
+  std::vector<std::string> folders;
+  for (const Rule& rule : Rules()) folders.emplace_back(rule.folder);
+  return folders;
+}
+
 std::vector<Violation> CheckFile(const std::string& path, const std::string& text) {
   static const std::regex include_line(R"re(^\s*(?:#\s*include\s*[<"]([^>"]+)[>"]|import\s+(?:public\s+)?"([^"]+)"\s*;).*)re");
   std::vector<Violation> violations;

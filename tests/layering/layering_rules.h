@@ -25,4 +25,7 @@ std::vector<Violation> CheckTree(const std::filesystem::path& root);
 // Checks one file's text; `path` is relative to the root of the sources.
 std::vector<Violation> CheckFile(const std::string& path, const std::string& text);
 
+// Folders of the include table, bottom to top.
+std::vector<std::string> Folders();
+
 }  // namespace trem::layering
