@@ -53,6 +53,13 @@ Status SetGeoreference(const MosaicGrid& grid, GDALDataset* dataset) {
   return {};
 }
 
+std::string CrsName(const std::string& crs_wkt) {
+  const GdalErrors quiet;
+  OGRSpatialReference srs;
+  if (crs_wkt.empty() || srs.importFromWkt(crs_wkt.c_str()) != OGRERR_NONE || srs.GetName() == nullptr) return "unnamed";
+  return srs.GetName();
+}
+
 namespace {
 
 Status FillDataset(const FloatRaster& raster, GDALDataset* dataset) {

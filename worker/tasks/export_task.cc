@@ -1,0 +1,272 @@
+// EXPORT: alignment, manifest, windows and tiles -> the files that a user gets.
+#include <fmt/format.h>
+
+#include <cmath>
+#include <filesystem>
+#include <functional>
+#include <limits>
+#include <map>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "mosaic/base/version.h"
+#include "mosaic/publish/picture.h"
+#include "mosaic/publish/report.h"
+#include "mosaic/raster/cog.h"
+#include "mosaic/raster/georeference.h"
+#include "proto/codec/convert.h"
+#include "worker/tasks/export_frames.h"
+#include "worker/tasks/task.h"
+#include "worker/tasks/task_inputs.h"
+#include "worker/tasks/tile_raster.h"
+
+namespace trem {
+namespace {
+
+constexpr int kPreviewSideMax = 2048;
+constexpr int kReportPreviewSideMax = 1200;
+constexpr int kReportPictureSideMax = 640;
+
+// Pictures and figures that are gathered while the tiles stream by.
+struct Pictures {
+  explicit Pictures(const MosaicGrid& grid)
+      : preview(grid.width, grid.height, kPreviewSideMax),
+        report_preview(grid.width, grid.height, kReportPreviewSideMax),
+        count(grid.width, grid.height, kReportPictureSideMax),
+        nmad(grid.width, grid.height, kReportPictureSideMax),
+        sigma(grid.width, grid.height, kReportPictureSideMax) {}
+  Reduction preview, report_preview, count, nmad, sigma;
+  long long covered = 0;
+};
+
+class Exporter {
+ public:
+  Exporter(const v1::TaskSpec& spec, const TaskContext& context) : spec_(spec), context_(context), store_(*context.store) {}
+  Result<v1::TaskResult> Run();
+
+ private:
+  Status ReadInputs();
+  Status WriteFrames();
+  Status WriteMosaic();
+  Status WriteQuality();
+  Status WriteSource();
+  Status WriteReport();
+  Status PutFile(const std::string& name, const std::filesystem::path& temporary);
+  Status PutBytes(const std::string& name, const std::string& bytes);
+  Result<std::vector<Image<float>>> ReadTile(int index, const std::vector<TilePlane>& planes) const;
+  // Metadata of every raster.
+  std::map<std::string, std::string> Metadata() const;
+  CogSpec Spec() const;
+  // Progress of a step that takes the task from `begin` to `end`.
+  std::function<bool(double)> Step(double begin, double end) const {
+    return [this, begin, end](double fraction) { return context_.progress(begin + (end - begin) * fraction); };
+  }
+
+  const v1::TaskSpec& spec_;
+  const TaskContext& context_;
+  const ArtefactStore& store_;
+  v1::SortieManifest manifest_;
+  v1::Alignment alignment_;
+  MosaicGrid grid_;
+  std::vector<v1::ArtefactRef> tiles_;
+  ReportData report_;
+  std::optional<Pictures> pictures_;
+  v1::TaskResult result_;
+};
+
+Status Exporter::ReadInputs() {
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef alignment, SingleInput(spec_, "alignment.pb"));
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(store_, alignment, &alignment_));
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest, SingleInput(spec_, "manifest.pb"));
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(store_, manifest, &manifest_));
+  TREM_ASSIGN_OR_RETURN(grid_, FromProto(alignment_.grid()));
+  tiles_ = InputsNamed(spec_, "tile.tif");
+  if (tiles_.size() != static_cast<std::size_t>(grid_.tile_count())) {
+    return InvalidInput("EXPORT task " + spec_.key() + " has " + std::to_string(tiles_.size()) + " inputs named tile.tif; the mosaic has " +
+                        std::to_string(grid_.tile_count()) + " tiles");
+  }
+  if (!std::isfinite(manifest_.grey_offset()) || !(manifest_.grey_scale() > 0.0) || !std::isfinite(manifest_.grey_scale())) {
+    return Corrupt("manifest.pb has grey_offset " + std::to_string(manifest_.grey_offset()) + " and grey_scale " +
+                   std::to_string(manifest_.grey_scale()) + "; expected finite numbers and a positive scale");
+  }
+  return {};
+}
+
+Status Exporter::PutFile(const std::string& name, const std::filesystem::path& temporary) {
+  TREM_ASSIGN_OR_RETURN(const ArtefactRef ref, store_.PutFile(name, temporary));
+  *result_.add_outputs() = ToProto(ref);
+  return {};
+}
+
+Status Exporter::PutBytes(const std::string& name, const std::string& bytes) {
+  TREM_ASSIGN_OR_RETURN(const ArtefactRef ref, store_.PutBytes(name, bytes));
+  *result_.add_outputs() = ToProto(ref);
+  return {};
+}
+
+Result<std::vector<Image<float>>> Exporter::ReadTile(int index, const std::vector<TilePlane>& planes) const {
+  const ArtefactRef ref = FromProto(tiles_[static_cast<std::size_t>(index)]);
+  TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store_.Locate(ref));
+  return ReadTilePlanes(path, grid_, index, planes);
+}
+
+std::map<std::string, std::string> Exporter::Metadata() const {
+  return {{"TREM_SOFTWARE", report_.software},
+          {"TREM_SORTIE", report_.sortie},
+          {"TREM_FRAMES_USED", fmt::format("{} of {}", report_.registered_count, report_.frame_count)},
+          {"TREM_COORDINATES", report_.georeferenced ? report_.crs_name : "local coordinates: no telemetry (" + report_.crs_name + ")"},
+          {"TREM_GAUGE", report_.gauge},
+          {"TREM_PIECES", std::to_string(report_.piece_count)},
+          {"TREM_TIE_RMS_PX", fmt::format("{:.4f}", report_.tie_rms_px)}};
+}
+
+CogSpec Exporter::Spec() const {
+  CogSpec cog;
+  cog.grid = grid_;
+  cog.metadata = Metadata();
+  cog.nodata = std::numeric_limits<double>::quiet_NaN();
+  return cog;
+}
+
+Status Exporter::WriteFrames() {
+  FrameLedger ledger(manifest_, alignment_);
+  const std::filesystem::path csv = store_.NewTemporaryPath(".csv");
+  TREM_RETURN_IF_ERROR(ledger.Gather(store_, InputsNamed(spec_, "window.pb"), csv, Step(0.0, 0.1)));
+  TREM_RETURN_IF_ERROR(PutFile("mosaic_chain.csv", csv));
+  ledger.Summarise(&report_);
+  TREM_ASSIGN_OR_RETURN(const std::vector<SceneFootprint> footprints, ledger.Footprints());
+  const std::filesystem::path geojson = store_.NewTemporaryPath(".geojson");
+  TREM_RETURN_IF_ERROR(WriteWindowsGeoJson(geojson, footprints, grid_.crs_wkt, alignment_.georeferenced()));
+  return PutFile("mosaic_windows.geojson", geojson);
+}
+
+Status Exporter::WriteMosaic() {
+  CogSpec cog = Spec();
+  cog.bands = {"median intensity [grey levels of the source]"};
+  const float scale = static_cast<float>(manifest_.grey_scale()), offset = static_cast<float>(manifest_.grey_offset());
+  const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
+    TREM_RETURN_IF_ERROR(store_.Verify(FromProto(tiles_[static_cast<std::size_t>(index)])));
+    TREM_ASSIGN_OR_RETURN(std::vector<Image<float>> planes, ReadTile(index, {TilePlane::kMedian}));
+    for (float& value : planes[0].pixels()) value = offset + scale * value;
+    pictures_->preview.Add(grid_.TileRoi(index), planes[0]);
+    pictures_->report_preview.Add(grid_.TileRoi(index), planes[0]);
+    return planes;
+  };
+  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.1, 0.4)));
+  return PutFile("mosaic.tif", path);
+}
+
+Status Exporter::WriteQuality() {
+  CogSpec cog = Spec();
+  cog.bands = {"count of scenes", "NMAD between scenes [grey levels of the source]",
+               report_.georeferenced ? "standard error of position [m]" : "standard error of position [sensor px]"};
+  const float scale = static_cast<float>(manifest_.grey_scale());
+  const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
+    TREM_ASSIGN_OR_RETURN(std::vector<Image<float>> planes,
+                          ReadTile(index, {TilePlane::kCount, TilePlane::kNmad, TilePlane::kPositionSigma}));
+    for (float& value : planes[1].pixels()) value *= scale;
+    const Roi roi = grid_.TileRoi(index);
+    Image<float> covered = planes[0];  // NaN instead of 0, so that means are over covered ground.
+    for (float& value : covered.pixels()) {
+      if (value > 0.0f) {
+        ++pictures_->covered;
+      } else {
+        value = std::numeric_limits<float>::quiet_NaN();
+      }
+    }
+    pictures_->count.Add(roi, covered);
+    pictures_->nmad.Add(roi, planes[1]);
+    pictures_->sigma.Add(roi, planes[2]);
+    return planes;
+  };
+  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.4, 0.75)));
+  return PutFile("mosaic_quality.tif", path);
+}
+
+Status Exporter::WriteSource() {
+  CogSpec cog = Spec();
+  cog.type = CogSpec::Type::kInt32;
+  cog.overviews = CogSpec::Overviews::kNearest;
+  cog.bands = {"window id of the dominant scene"};
+  cog.nodata = static_cast<double>(kNoSource);
+  const CogTileReader reader = [&](int index) { return ReadTile(index, {TilePlane::kSource}); };
+  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.75, 0.9)));
+  return PutFile("mosaic_source.tif", path);
+}
+
+// The middle value of a picture; NaN when it is empty.
+double MiddleValue(const Image<float>& picture) {
+  for (const float value : picture.pixels()) {
+    if (std::isfinite(value)) return QuantileRange(picture, 0.5, 0.5).low;
+  }
+  return std::numeric_limits<double>::quiet_NaN();
+}
+
+Status Exporter::WriteReport() {
+  const Image<float> preview = pictures_->preview.Picture();
+  const ValueRange stretch = QuantileRange(preview, 0.005, 0.995);
+  TREM_ASSIGN_OR_RETURN(const std::string preview_png, GreyPng(preview, stretch));
+  TREM_RETURN_IF_ERROR(PutBytes("mosaic_preview.png", preview_png));
+
+  const Image<float> count = pictures_->count.Picture(), nmad = pictures_->nmad.Picture(), sigma = pictures_->sigma.Picture();
+  report_.coverage = static_cast<double>(pictures_->covered) / (static_cast<double>(grid_.width) * grid_.height);
+  report_.median_scenes = pictures_->covered > 0 ? MiddleValue(count) : 0.0;
+  report_.median_nmad = MiddleValue(nmad);
+  report_.median_position_sigma = MiddleValue(sigma);
+  report_.preview.range = stretch;
+  report_.count.range = {0.0, QuantileRange(count, 0.0, 1.0).high};
+  report_.nmad.range = {0.0, QuantileRange(nmad, 0.0, 0.98).high};
+  TREM_ASSIGN_OR_RETURN(report_.preview.png, GreyPng(pictures_->report_preview.Picture(), stretch));
+  TREM_ASSIGN_OR_RETURN(report_.count.png, ColourPng(count, report_.count.range));
+  TREM_ASSIGN_OR_RETURN(report_.nmad.png, ColourPng(nmad, report_.nmad.range));
+  for (const auto* notes : {&manifest_.notes(), &alignment_.notes()}) {
+    for (const v1::Note& note : *notes)
+      report_.notes.push_back({note.severity() == v1::WARNING, note.code(), note.subject(), note.message()});
+  }
+  return PutBytes("mosaic_report.html", RenderReport(report_));
+}
+
+Result<v1::TaskResult> Exporter::Run() {
+  TREM_RETURN_IF_ERROR(ReadInputs());
+  report_.sortie =
+      spec_.sortie().name().empty() ? std::filesystem::path(manifest_.source_path()).filename().string() : spec_.sortie().name();
+  report_.source = manifest_.source_path();
+  report_.software = std::string("trem ") + TREM_VERSION + ", engine " + kEngineRevision;
+  report_.georeferenced = alignment_.georeferenced();
+  report_.crs_name = CrsName(grid_.crs_wkt);
+  report_.gauge = alignment_.gauge();
+  report_.width = grid_.width;
+  report_.height = grid_.height;
+  report_.gsd = grid_.gsd;
+  report_.piece_count = alignment_.piece_count();
+  report_.tie_rms_px = alignment_.tie_rms_px();
+  pictures_.emplace(grid_);
+  TREM_RETURN_IF_ERROR(WriteFrames());
+  TREM_RETURN_IF_ERROR(WriteMosaic());
+  TREM_RETURN_IF_ERROR(WriteQuality());
+  TREM_RETURN_IF_ERROR(WriteSource());
+  TREM_RETURN_IF_ERROR(WriteReport());
+  if (!context_.progress(1.0)) return Cancelled("the export was stopped");
+  if (pictures_->covered == 0) {
+    v1::Note* note = result_.add_notes();
+    note->set_code("mosaic_empty");
+    note->set_subject(report_.sortie);
+    note->set_message("no scene covers any pixel of the mosaic");
+    note->set_severity(v1::WARNING);
+  }
+  return result_;
+}
+
+}  // namespace
+
+Result<v1::TaskResult> RunExportTask(const v1::TaskSpec& spec, const TaskContext& context) {
+  cv::setNumThreads(1);
+  return Exporter(spec, context).Run();
+}
+
+}  // namespace trem
