@@ -101,11 +101,13 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
                         EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
-  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<RouterChannel> channel, RouterChannel::Bind(options.endpoint));
+  // Bound after the log was read: until then peers see nobody and queue nothing.
+  std::unique_ptr<RouterChannel> channel;
   TREM_ASSIGN_OR_RETURN(
       const std::unique_ptr<Shell> shell,
       Shell::Create(std::move(events), std::move(artefacts), options.shell,
                     [&channel](const std::string& peer, const v1::Envelope& envelope) { return channel->Send(peer, envelope); }));
+  TREM_ASSIGN_OR_RETURN(channel, RouterChannel::Bind(options.endpoint));
   channel_to_wake = channel.get();
   spdlog::info("listening on {}", channel->endpoint());
   Status status;

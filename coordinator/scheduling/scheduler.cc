@@ -55,7 +55,8 @@ void Scheduler::On(const WorkerHelloEvent& event) {
     const Attempt attempt{key, slot.attempt};
     if (slot.live) {
       effects_.push_back(CancelTaskEffect{event.worker_id, attempt, "the worker did not name it when it came back"});
-      Lose(key, true, "worker " + event.worker_id + " came back without it");
+      // Not held against the task: Hellos that waited while the coordinator was stopped come in a row.
+      Lose(key, false, "worker " + event.worker_id + " came back without it");
     }
     FreeSlot(event.worker_id, key);
   }
@@ -106,7 +107,11 @@ void Scheduler::On(const ProgressEvent& event) {
 }
 
 void Scheduler::On(const TaskDoneEvent& event) {
-  effects_.push_back(AckEffect{event.worker_id, event.attempt});
+  TakeResult(event);
+  effects_.push_back(AckEffect{event.worker_id, event.attempt});  // Behind what TakeResult has to make durable.
+}
+
+void Scheduler::TakeResult(const TaskDoneEvent& event) {
   const std::string& key = event.attempt.task_key;
   if (const auto worker = workers_.find(event.worker_id); worker != workers_.end()) {
     const auto slot = worker->second.slots.find(key);
@@ -125,6 +130,8 @@ void Scheduler::On(const TaskDoneEvent& event) {
   }
   const TaskPlace place = task.wanted_by.begin()->second;
   if (const Status status = CheckTaskResult(place.kind, event.result); !status.ok()) {
+    LeaveQueues(key, task);
+    Enqueue(key, task);
     FailJobsOf(key, status.code(), status.message());
     return;
   }
@@ -141,10 +148,10 @@ void Scheduler::On(const TaskDoneEvent& event) {
 }
 
 void Scheduler::OnFailure(const std::string& key, Task& task, const TaskDoneEvent& event) {
+  if (event.code == StatusCode::kCancelled) return Lose(key, true, "worker " + event.worker_id + " gave it back");
+  LeaveQueues(key, task);
+  Enqueue(key, task);
   switch (event.code) {
-    case StatusCode::kCancelled:
-      Lose(key, true, "worker " + event.worker_id + " gave it back");
-      return;
     case StatusCode::kUnavailable:
     case StatusCode::kExhausted:
     case StatusCode::kCorrupt: {
@@ -192,6 +199,8 @@ void Scheduler::Lose(const std::string& key, bool counts, const std::string& rea
   const auto found = tasks_.find(key);
   if (found == tasks_.end() || found->second.state != TaskState::kLeased) return;
   Task& task = found->second;
+  LeaveQueues(key, task);
+  Enqueue(key, task);
   if (counts) ++task.losses;
   if (task.losses >= options_.losses_max) {
     FailJobsOf(key, StatusCode::kUnavailable,
@@ -200,8 +209,6 @@ void Scheduler::Lose(const std::string& key, bool counts, const std::string& rea
   }
   for (const JobPlace& place : task.wanted_by) jobs_.at(place.first).graph->AddRetry();
   effects_.push_back(LogEffect{TitleOf(task) + " goes to another worker: " + reason});
-  LeaveQueues(key, task);
-  Enqueue(key, task);
 }
 
 void Scheduler::Revoke(const std::string& worker_id, const Attempt& attempt, const std::string& reason) {

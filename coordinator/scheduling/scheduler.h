@@ -143,6 +143,7 @@ class Scheduler {
   void TakeBackAll(const std::string& worker_id, bool counts, const std::string& reason);
   void SetSlot(const std::string& worker_id, const std::string& key, const Slot& slot);
   void FreeSlot(const std::string& worker_id, const std::string& key);
+  void TakeResult(const TaskDoneEvent& event);
   void OnFailure(const std::string& key, Task& task, const TaskDoneEvent& event);
   void BeginAfterRestore();
   void DispatchReady();

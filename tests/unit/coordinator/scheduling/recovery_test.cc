@@ -1,0 +1,165 @@
+// Goal: a coordinator that was killed goes on where its log ends, and a worker that comes back keeps or gives up exactly what it should.
+// Method: the scheduler is thrown away and rebuilt from the events it asked to be made durable; workers say Hello again.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "coordinator/scheduling/scheduler.h"
+#include "tests/unit/coordinator/scheduling/fake_tasks.h"
+
+namespace trem::testing {
+namespace {
+
+using ::testing::IsEmpty;
+using ::testing::SizeIs;
+
+DispatchEffect OnlyDispatch(const std::vector<Effect>& effects) {
+  const auto dispatches = Only<DispatchEffect>(effects);
+  TREM_CHECK_MSG(dispatches.size() == 1, std::to_string(dispatches.size()) + " dispatches");
+  return dispatches[0];
+}
+
+TEST(RecoveryTest, RebuildsTheSameStateFromTheLogAtEveryPointOfAJob) {
+  Bench bench;
+  bench.Hello("w1");
+  DispatchEffect dispatch = OnlyDispatch(bench.Submit("job"));
+  for (std::uint32_t done = 1; done <= kFakeTaskCount; ++done) {
+    const auto next = Only<DispatchEffect>(bench.Done(dispatch));
+    const v1::JobStatus before = bench.Status("job");
+    bench.Restart();
+    const v1::JobStatus after = bench.Status("job");
+    EXPECT_EQ(after.state(), before.state());
+    for (int i = 0; i < before.stages_size(); ++i) {
+      EXPECT_EQ(after.stages(i).done(), before.stages(i).done());
+      EXPECT_EQ(after.stages(i).total(), before.stages(i).total());
+    }
+    EXPECT_EQ(after.outputs_size(), before.outputs_size());
+    EXPECT_EQ(after.peak_memory_bytes(), before.peak_memory_bytes());
+    if (next.empty()) break;
+    dispatch = next[0];
+    EXPECT_THAT(bench.Hello("w1", {AttemptOf(dispatch)}), IsEmpty()) << "the worker goes on with what it has";
+  }
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_DONE);
+}
+
+TEST(RecoveryTest, NeverHandsOutTheSameAttemptTwice) {
+  Bench bench;
+  std::uint32_t last = 0;
+  bench.Submit("job");
+  for (int i = 0; i < 10; ++i) {
+    const DispatchEffect dispatch = i == 0 ? OnlyDispatch(bench.Hello("w")) : OnlyDispatch(bench.Wait(bench.options.restart_grace_ms));
+    EXPECT_GT(dispatch.attempt, last);
+    last = dispatch.attempt;
+    bench.Restart();
+    bench.Hello("w" + std::to_string(i));
+  }
+}
+
+TEST(RecoveryTest, WaitsAWhileForTheWorkerThatHeldATaskBeforeTheRestart) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  bench.Restart();
+  EXPECT_THAT(Only<DispatchEffect>(bench.Hello("w2")), IsEmpty()) << "w1 may come back with it";
+  EXPECT_THAT(Only<DispatchEffect>(bench.Wait(bench.options.restart_grace_ms - 1)), IsEmpty());
+  EXPECT_THAT(bench.Hello("w1", {AttemptOf(first)}), IsEmpty());
+  EXPECT_THAT(Only<DispatchEffect>(bench.Wait(bench.options.restart_grace_ms)), IsEmpty()) << "w1 has a full lease now";
+  EXPECT_THAT(Only<AppendEffect>(bench.Done(first)), SizeIs(1 + 2)) << "its result is committed and two tasks follow";
+}
+
+TEST(RecoveryTest, HandsATaskToAnotherWhenItsWorkerDoesNotComeBack) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  bench.Restart();
+  bench.Hello("w2");
+  const DispatchEffect second = OnlyDispatch(bench.Wait(bench.options.restart_grace_ms));
+  EXPECT_EQ(second.attempt, first.attempt + 1);
+  const auto late = bench.Hello("w1", {AttemptOf(first)});
+  ASSERT_THAT(Only<CancelTaskEffect>(late), SizeIs(1)) << "the task has moved on";
+  EXPECT_EQ(Only<CancelTaskEffect>(late)[0].attempt, AttemptOf(first));
+}
+
+TEST(RecoveryTest, TakesAResultThatWasKeptWhileTheCoordinatorWasAway) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  bench.Restart();
+  bench.Hello("w1", {AttemptOf(first)});
+  EXPECT_THAT(Only<DispatchEffect>(bench.Done(first)), SizeIs(1));
+  EXPECT_EQ(bench.Status("job").stages(0).done(), 1U);
+}
+
+TEST(RecoveryTest, CancelsWhatAWorkerRunsForAJobThatHasEnded) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  bench.Step(CancelJobEvent{"job"});
+  bench.Restart();
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_CANCELLED);
+  EXPECT_THAT(Only<CancelTaskEffect>(bench.Hello("w1", {AttemptOf(first)})), SizeIs(1));
+}
+
+TEST(RecoveryTest, RemembersWhyAJobFailed) {
+  Bench bench;
+  bench.Hello("w1");
+  bench.Fail(OnlyDispatch(bench.Submit("job")), StatusCode::kNotFound, "/data/leg does not exist");
+  bench.Restart();
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_FAILED);
+  EXPECT_EQ(bench.Status("job").error(), "/data/leg does not exist");
+  EXPECT_EQ(bench.Status("job").error_code(), static_cast<std::uint32_t>(StatusCode::kNotFound));
+}
+
+TEST(RecoveryTest, RunsATaskAgainWhoseArtefactsAreGoneAndReusesTheRest) {
+  Bench bench;
+  bench.Hello("w1");
+  const auto done = bench.RunAll(bench.Submit("job"));
+  ASSERT_EQ(bench.Status("job").state(), v1::JOB_DONE);
+  const std::string lost_key = done[2].task.key();
+  bench.Restart({lost_key});
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_RUNNING);
+  bench.Hello("w1");
+  const auto again = bench.RunAll(bench.Wait(bench.options.restart_grace_ms));
+  ASSERT_THAT(again, SizeIs(1));
+  EXPECT_EQ(again[0].task.key(), lost_key);
+  EXPECT_EQ(again[0].attempt, 2U);
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_DONE);
+}
+
+TEST(RecoveryTest, TakesBackWhatAWorkerThatReconnectedDoesNotName) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  const auto effects = bench.Hello("w1");
+  EXPECT_THAT(Only<CancelTaskEffect>(effects), SizeIs(1));
+  EXPECT_EQ(OnlyDispatch(effects).attempt, first.attempt + 1) << "its Dispatch was lost with the connection";
+}
+
+TEST(RecoveryTest, KeepsTheLeaseOfAWorkerThatReconnectedAndNamesIt) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  EXPECT_THAT(bench.Hello("w1", {AttemptOf(first)}), IsEmpty());
+  EXPECT_THAT(Only<DispatchEffect>(bench.Done(first)), SizeIs(1));
+}
+
+TEST(RecoveryTest, AProgressOfAnOldAttemptDoesNotTouchTheNewOneOnTheSameWorker) {
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect first = OnlyDispatch(bench.Submit("job"));
+  const DispatchEffect second = OnlyDispatch(bench.Hello("w1"));
+  ASSERT_EQ(second.attempt, 2U);
+  EXPECT_THAT(Only<CancelTaskEffect>(bench.Progress(first)), SizeIs(1));
+  EXPECT_EQ(bench.Status("job").stages(0).running(), 1U);
+  EXPECT_THAT(Only<DispatchEffect>(bench.Done(second)), SizeIs(1));
+}
+
+TEST(RecoveryTest, RefusesALogThatMakesNoSense) {
+  Scheduler scheduler;
+  v1::LogEvent event;
+  event.mutable_job_cancelled()->set_job_id("never-submitted");
+  EXPECT_EQ(scheduler.Restore(event).code(), StatusCode::kCorrupt);
+  EXPECT_EQ(scheduler.Restore(v1::LogEvent()).code(), StatusCode::kCorrupt);
+}
+
+}  // namespace
+}  // namespace trem::testing
