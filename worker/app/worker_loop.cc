@@ -24,6 +24,7 @@ constexpr int kExitStuck = 9;
 constexpr std::size_t kQueueMax = 4;  // The coordinator knows that there is one slot; more than one here is a race, more than this a bug.
 constexpr milliseconds kUnsentRetry{100};
 constexpr milliseconds kWaitMax{200};
+constexpr milliseconds kProgressPoll{50};  // The compute thread does not wake this one for every step.
 
 bool Same(const v1::TaskAttempt& a, const v1::TaskAttempt& b) { return a.task_key() == b.task_key() && a.attempt() == b.attempt(); }
 
@@ -254,8 +255,9 @@ class WorkerLoop {
   milliseconds WaitTime(TimePoint now) const {
     TimePoint next = now + kWaitMax;
     if (!is_welcome_) next = std::min(next, next_hello_);
-    if (is_welcome_) next = std::min(next, last_sent_ + heartbeat_interval_);
     if (is_welcome_) {
+      next = std::min(next, last_sent_ + heartbeat_interval_);
+      if (running_) next = std::min(next, std::max(next_progress_, now + kProgressPoll));
       for (const PendingDone& done : unacknowledged_) next = std::min(next, done.due);
     }
     if (stuck_deadline_) next = std::min(next, *stuck_deadline_);
