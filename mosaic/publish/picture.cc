@@ -19,7 +19,8 @@ Result<std::string> EncodePng(const cv::Mat& bgra) {
 
 // 0..255 where finite; `seen` is 255 there and 0 elsewhere.
 cv::Mat1b Quantise(const Image<float>& picture, const ValueRange& range, cv::Mat1b* seen) {
-  cv::Mat1b grey(picture.height(), picture.width(), static_cast<unsigned char>(0));
+  // Mid-grey under the transparency, for viewers that ignore it.
+  cv::Mat1b grey(picture.height(), picture.width(), static_cast<unsigned char>(128));
   *seen = cv::Mat1b(picture.height(), picture.width(), static_cast<unsigned char>(0));
   const double scale = 255.0 / (range.high - range.low);
   for (int y = 0; y < picture.height(); ++y) {
@@ -99,8 +100,7 @@ Result<std::string> ColourPng(const Image<float>& picture, const ValueRange& ran
   cv::applyColorMap(grey, bgr, cv::COLORMAP_VIRIDIS);
   std::vector<cv::Mat> planes;
   cv::split(bgr, planes);
-  // Invisible pixels still take bytes: make them uniform.
-  for (cv::Mat& plane : planes) plane.setTo(0, seen == 0);
+  for (cv::Mat& plane : planes) plane.setTo(128, seen == 0);
   planes.push_back(seen);
   cv::Mat bgra;
   cv::merge(planes, bgra);

@@ -16,6 +16,7 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+constexpr const char* kGeographicNote = "WGS 84 longitude, latitude";
 constexpr const char* kLocalNote = "local engineering coordinates of the mosaic, not longitude and latitude: no usable telemetry";
 
 double Rounded(double value) { return std::round(value * 1e9) / 1e9; }
@@ -46,20 +47,22 @@ Result<std::vector<Eigen::Vector2d>> Ring(const SceneFootprint& scene, const std
   return ring;
 }
 
-Result<Json> Feature(const SceneFootprint& scene, const std::optional<UtmFrame>& frame) {
-  Result<std::vector<Eigen::Vector2d>> ring = Ring(scene, frame);
-  if (!ring.ok()) {
-    return ring.status().WithPrefix("footprint of scene " + std::to_string(scene.scene_id) + " of window " +
-                                    std::to_string(scene.window_id));
-  }
+Json Geometry(const SceneFootprint& scene, const std::optional<UtmFrame>& frame) {
+  const Result<std::vector<Eigen::Vector2d>> ring = Ring(scene, frame);
+  // A scene that sees the horizon reaches farther than any map projection: RFC 7946 calls such a feature unlocated.
+  if (!ring.ok() || ring->size() < 3) return nullptr;
   Json coordinates = Json::array();
   for (std::size_t i = 0; i <= ring->size(); ++i) {
     const Eigen::Vector2d& point = (*ring)[i % ring->size()];
     coordinates.push_back({Rounded(point.x()), Rounded(point.y())});
   }
+  return {{"type", "Polygon"}, {"coordinates", Json::array({coordinates})}};
+}
+
+Json Feature(const SceneFootprint& scene, const std::optional<UtmFrame>& frame) {
   Json feature;
   feature["type"] = "Feature";
-  feature["geometry"] = {{"type", "Polygon"}, {"coordinates", Json::array({coordinates})}};
+  feature["geometry"] = Geometry(scene, frame);
   Json& properties = feature["properties"];
   properties["window"] = scene.window_id;
   properties["scene"] = scene.scene_id;
@@ -70,7 +73,7 @@ Result<Json> Feature(const SceneFootprint& scene, const std::optional<UtmFrame>&
   properties["position_sigma"] = scene.position_sigma;
   properties["gain"] = scene.gain;
   properties["offset"] = scene.offset;
-  properties["coordinates"] = frame ? "WGS 84 longitude, latitude" : kLocalNote;
+  properties["coordinate_reference"] = frame ? kGeographicNote : kLocalNote;
   return feature;
 }
 
@@ -85,11 +88,10 @@ Status WriteWindowsGeoJson(const std::filesystem::path& path, std::span<const Sc
   }
   std::ofstream stream(path, std::ios::binary | std::ios::trunc);
   if (!stream) return FromErrno("cannot create " + path.string(), errno);
-  stream << "{\"type\":\"FeatureCollection\",\n\"coordinates\":" << Json(frame ? "WGS 84 longitude, latitude" : kLocalNote).dump()
+  stream << "{\"type\":\"FeatureCollection\",\n\"coordinate_reference\":" << Json(frame ? kGeographicNote : kLocalNote).dump()
          << ",\n\"features\":[";
   for (std::size_t i = 0; i < scenes.size(); ++i) {
-    TREM_ASSIGN_OR_RETURN(const Json feature, Feature(scenes[i], frame));
-    stream << (i == 0 ? "\n" : ",\n") << feature.dump();
+    stream << (i == 0 ? "\n" : ",\n") << Feature(scenes[i], frame).dump();
   }
   stream << "\n]}\n";
   stream.close();

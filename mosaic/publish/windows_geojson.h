@@ -28,8 +28,8 @@ struct SceneFootprint {
 
 // Writes mosaic_windows.geojson: a FeatureCollection of one Polygon a scene, in the span's order. Georeferenced: RFC 7946, longitude and
 // latitude (WGS 84, rounded to 1e-9 deg), exterior rings counter-clockwise. Not georeferenced: the same geometry in the local engineering
-// coordinates of the mosaic, which RFC 7946 does not know; the collection and every feature say so in "coordinates". Footprints that the
-// horizon cuts are clipped to it. Streams to `path`.
+// coordinates of the mosaic, which RFC 7946 does not know; the collection and every feature say so in "coordinate_reference". A footprint
+// that the horizon cuts so that it leaves the map has a null geometry. Streams to `path`.
 Status WriteWindowsGeoJson(const std::filesystem::path& path, std::span<const SceneFootprint> scenes, const std::string& crs_wkt,
                            bool georeferenced);
 

@@ -297,8 +297,8 @@ TEST_F(PublishTasks, WithoutTelemetryEverythingSaysSo) {
   EXPECT_NE(std::string(dataset->GetMetadataItem("TREM_COORDINATES")).find("no telemetry"), std::string::npos);
   EXPECT_NE(Text(result, "mosaic_report.html").find("Local coordinates: no telemetry"), std::string::npos);
   const auto json = nlohmann::json::parse(Text(result, "mosaic_windows.geojson"));
-  EXPECT_NE(json["coordinates"].get<std::string>().find("not longitude and latitude"), std::string::npos);
-  EXPECT_NE(json["features"][0]["properties"]["coordinates"].get<std::string>().find("local"), std::string::npos);
+  EXPECT_NE(json["coordinate_reference"].get<std::string>().find("not longitude and latitude"), std::string::npos);
+  EXPECT_NE(json["features"][0]["properties"]["coordinate_reference"].get<std::string>().find("local"), std::string::npos);
   EXPECT_NEAR(json["features"][0]["geometry"]["coordinates"][0][0][0].get<double>(), kOriginX, 50.0);
 }
 
