@@ -30,7 +30,6 @@ using Clock = std::chrono::steady_clock;
 // A busy machine may keep a coordinator that replays its log from answering for a while; one that died is noticed at once.
 constexpr std::chrono::seconds kCoordinatorPatience{60};
 constexpr std::chrono::milliseconds kPollInterval{250};
-constexpr int kEarlierAttemptsMax = 1000;
 constexpr std::size_t kWarningLinesMax = 10;
 
 // What is known of a run so far; the report is made of it, whatever happens.
@@ -68,19 +67,6 @@ Status CheckOutputIsNotInSource(const fs::path& output, const v1::Sortie& sortie
   return {};
 }
 
-// Finds or makes the job. Ids of earlier attempts that failed or were cancelled are passed over; results that these have stored are used
-// again, since they are named by what they were made of.
-Result<v1::JobStatus> SubmitOrResume(Client* client, const std::string& base_id, const v1::Sortie& sortie) {
-  for (int attempt = 1; attempt <= kEarlierAttemptsMax; ++attempt) {
-    const std::string id = attempt == 1 ? base_id : base_id + "-" + std::to_string(attempt);
-    const Result<v1::JobStatus> known = client->GetJob(id);
-    if (!known.ok() && known.status().code() == StatusCode::kNotFound) return client->Submit(id, sortie);
-    if (!known.ok()) return known;
-    if (known->state() == v1::JOB_RUNNING || known->state() == v1::JOB_DONE) return known;
-  }
-  return Failed("this job has failed " + std::to_string(kEarlierAttemptsMax) + " times; remove the work folder to start afresh");
-}
-
 Status JobFailure(const v1::JobStatus& job) {
   const auto code = job.error_code();
   const bool known = code > static_cast<std::uint32_t>(StatusCode::kOk) && code <= static_cast<std::uint32_t>(StatusCode::kFailed);
@@ -92,7 +78,8 @@ Status JobFailure(const v1::JobStatus& job) {
 
 Status RunJob(const RunOptions& options, const v1::Sortie& sortie, const std::string& job_id, Client* client, RunState* state) {
   ProgressDisplay display(ProgressDisplay::ModeFor(options.quiet));
-  TREM_ASSIGN_OR_RETURN(state->job, SubmitOrResume(client, job_id, sortie));
+  // A job of this id that was interrupted or failed is taken up again; tasks that it finished are not repeated.
+  TREM_ASSIGN_OR_RETURN(state->job, client->Submit(job_id, sortie));
   for (;;) {
     display.Show(state->job);
     if (state->job.state() == v1::JOB_DONE) return {};
