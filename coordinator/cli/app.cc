@@ -16,8 +16,8 @@
 #include "coordinator/cli/client_commands.h"
 #include "coordinator/cli/plan_command.h"
 #include "coordinator/cli/run_command.h"
-#include "coordinator/cli/suggest.h"
 #include "coordinator/cli/terminal.h"
+#include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
 
 namespace trem {
@@ -188,9 +188,8 @@ std::vector<std::string> OptionNames(const CLI::App& app) {
 }
 
 int ReportUnknownCommand(const CLI::App& app, const std::string& word) {
-  const std::string closest = ClosestWord(word, CommandNames(app));
-  PrintError("'" + word + "' is not a command of trem" + (closest.empty() ? "" : "; did you mean '" + closest + "'?") +
-             " See 'trem --help'");
+  const std::string suggestion = DidYouMean(word, CommandNames(app));
+  PrintError("'" + word + "' is not a command of trem" + (suggestion.empty() ? "." : suggestion) + " See 'trem --help'");
   return kExitUsage;
 }
 
@@ -201,8 +200,7 @@ int ReportParseError(const CLI::App& app, const CLI::ParseError& error, int argc
     for (int i = 2; i < argc; ++i) {
       const std::string word = std::string(argv[i]).substr(0, std::string(argv[i]).find('='));
       if (word.size() < 3 || word.compare(0, 2, "--") != 0 || std::find(known.begin(), known.end(), word) != known.end()) continue;
-      const std::string closest = ClosestWord(word, known);
-      message = "unknown option " + word + (closest.empty() ? "" : "; did you mean " + closest + "?");
+      message = "unknown option " + word + DidYouMean(word, known);
       break;
     }
   }

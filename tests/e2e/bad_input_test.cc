@@ -69,6 +69,13 @@ class BadInputTest : public ::testing::Test {
     return 0;
   }
 
+  // For faults that must be found before an image is opened.
+  fs::path FolderWithAnImage() const {
+    const fs::path frames = fixture_.NewFolder("frames");
+    WriteFileContents(frames / "00000.png", "");
+    return frames;
+  }
+
   RunFixture fixture_;
 };
 
@@ -173,17 +180,17 @@ TEST_F(BadInputTest, RefusesAMisspeltFieldWithLineColumnAndSuggestion) {
   EXPECT_THAT(again.stderr_text, HasSubstr("did you mean 'ratio'"));
 }
 
-TEST_F(BadInputTest, RefusesAMisspeltOverride) { ExpectRefused(fixture_.NewFolder("frames"), "ratoi", 3, {"--set", "tre.ratoi=3"}); }
+TEST_F(BadInputTest, RefusesAMisspeltOverride) { ExpectRefused(FolderWithAnImage(), "ratoi", 3, {"--set", "tre.ratoi=3"}); }
 
 TEST_F(BadInputTest, RefusesAnOutputBelowARegularFile) {
-  const fs::path frames = fixture_.NewFolder("frames");
+  const fs::path frames = FolderWithAnImage();
   WriteFileContents(fixture_.folder() / "file", "");
   const fs::path output = fixture_.folder().path() / "file" / "mosaic.tif";
   ExpectOneMessage(fixture_.Run(RunFixture::RunArguments(frames, output, {"--quiet"})), output.parent_path().string(), 3);
 }
 
 TEST_F(BadInputTest, RefusesAnOutputWhereNoFileCanBeMade) {
-  const fs::path frames = fixture_.NewFolder("frames");
+  const fs::path frames = FolderWithAnImage();
   ExpectOneMessage(fixture_.Run(RunFixture::RunArguments(frames, "/proc/mosaic.tif", {"--quiet"})), "/proc", 3);
 }
 
@@ -224,7 +231,7 @@ class FullDiskTest : public BadInputTest {
 };
 
 TEST_F(FullDiskTest, RefusesAReadOnlyOutputFolder) {
-  const fs::path frames = fixture_.NewFolder("frames");
+  const fs::path frames = FolderWithAnImage();
   const fs::path out = fixture_.NewFolder("out");
   const Completed run = RunOnTmpfs(out, "mount -o remount,ro '" + out.string() + "'",
                                    RunFixture::RunArguments(frames, out / "mosaic.tif", {"--quiet"}), "size=64k");
