@@ -24,6 +24,8 @@ fi
 lists=("$here/packages.txt")
 [ "$preset" != fuzz ] || lists+=("$here/packages-fuzz.txt")
 "$here/bootstrap.sh" "${lists[@]}"
+# Lets ccache recognise the same source in another clone.
+export CCACHE_BASEDIR=${CCACHE_BASEDIR:-$PWD}
 cmake --preset "$preset"
 cmake --build "build/$preset" -j "${TREM_JOBS:-$(nproc)}" --target "${targets[@]}"
 
