@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "worker/app/exit_code.h"
 #include "worker/simulate/simulation.h"
 
 namespace trem {
@@ -151,7 +152,7 @@ int RunSimulateCommand(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : 2;
+    return app.exit(error) == 0 ? 0 : kExitUsage;
   }
   Progress progress;
   const Result<SimulationSummary> summary = Simulate(arguments.options, arguments.directory, [&](int done, int total) {
@@ -159,7 +160,7 @@ int RunSimulateCommand(int argc, char** argv) {
   });
   if (!summary.ok()) {
     fmt::print(stderr, "trem simulate: {}\n", summary.status().message());
-    return summary.status().code() == StatusCode::kInvalidInput || summary.status().code() == StatusCode::kNotFound ? 3 : 1;
+    return ExitCodeOf(summary.status());
   }
   PrintSummary(arguments, *summary);
   return 0;

@@ -16,8 +16,12 @@ constexpr int kRows = 4;
 constexpr int kGap = 6;
 constexpr int kTitle = 24;
 
-// The crops with the strongest gradients that lie wholly on compared pixels and apart from each other, best first.
-std::vector<cv::Rect> DetailedPlaces(const Image<float>& truth) {
+// The crops with the strongest edges that lie wholly on compared pixels and apart from each other, best first. Edges are sought in a
+// slightly blurred truth: things (roofs, marks, cars) tell more than grass does.
+std::vector<cv::Rect> DetailedPlaces(const Image<float>& sharp) {
+  Image<float> truth(sharp.width(), sharp.height());
+  cv::Mat blurred(truth.height(), truth.width(), CV_32F, truth.row(0));
+  cv::GaussianBlur(cv::Mat(sharp.height(), sharp.width(), CV_32F, const_cast<float*>(sharp.row(0))), blurred, {15, 15}, 2.5);
   struct Place {
     double energy;
     cv::Rect rect;

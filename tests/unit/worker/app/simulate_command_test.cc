@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "proto/codec/sortie_spec.h"
 #include "tests/support/paths.h"
 
 namespace trem {
@@ -59,7 +60,13 @@ TEST(SimulateCommand, LeavesFramesTelemetryTruthAndASpec) {
   EXPECT_THAT(FileContents(temp / "sortie" / "frames" / "telemetry.csv"),
               StartsWith("frame,time_s,latitude_deg,longitude_deg,altitude_m,yaw_deg,pitch_deg,roll_deg,hfov_deg,vfov_deg,ground_elevation_"
                          "m\n00000.png,"));
-  EXPECT_THAT(FileContents(temp / "sortie" / "sortie.textproto"), HasSubstr("path: \"frames\""));
+  // The spec, and the bare folder, are what `trem run` takes.
+  for (const fs::path& argument : {temp / "sortie" / "sortie.textproto", temp / "sortie" / "frames"}) {
+    const Result<v1::Sortie> spec = LoadSortie(argument.string(), {});
+    ASSERT_TRUE(spec.ok()) << spec.status().message();
+    EXPECT_TRUE(fs::equivalent(spec->source().path(), temp / "sortie" / "frames"));
+    EXPECT_GT(spec->sensor().psf_sigma_px(), 0.0) << "zero stands for the default";
+  }
 }
 
 TEST(SimulateCommand, RefusesAFolderWithContentUnlessToldToOverwriteASimulation) {
