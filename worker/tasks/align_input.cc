@@ -1,0 +1,209 @@
+#include "worker/tasks/align_input.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "mosaic/raster/crs.h"
+#include "proto/codec/convert.h"
+
+namespace trem {
+namespace {
+
+constexpr double kRad = std::numbers::pi / 180.0;
+constexpr std::uint32_t kDefaultRatio = 3;
+
+bool AllFinite(const google::protobuf::RepeatedField<double>& numbers) {
+  return std::all_of(numbers.begin(), numbers.end(), [](double x) { return std::isfinite(x); });
+}
+
+// The 6x6 matrix of 21 numbers, with eigenvalues kept within 1e-4 .. 100 px: a registration may claim less or more, but neither helps.
+Result<align::Matrix6d> CornerCovariance(const google::protobuf::RepeatedField<double>& numbers) {
+  if (numbers.size() != 21 || !AllFinite(numbers)) {
+    return Corrupt("corner_covariance_px2 has " + std::to_string(numbers.size()) + " numbers; expected 21 finite ones");
+  }
+  align::Matrix6d matrix;
+  int next = 0;
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) matrix(row, column) = matrix(column, row) = numbers[next++];
+  }
+  const Eigen::SelfAdjointEigenSolver<align::Matrix6d> eigen(matrix);
+  const align::Vector6d values = eigen.eigenvalues().cwiseMax(1e-8).cwiseMin(1e4);
+  return align::Matrix6d(eigen.eigenvectors() * values.asDiagonal() * eigen.eigenvectors().transpose());
+}
+
+Result<align::ChainView> ViewFromProto(const v1::ChainView& message, std::uint32_t frame_count) {
+  if (message.frame_index() >= frame_count) {
+    return Corrupt("chain.frame_index is " + std::to_string(message.frame_index()) + "; the manifest has " + std::to_string(frame_count) + " frames");
+  }
+  align::ChainView view;
+  view.frame = message.frame_index();
+  TREM_ASSIGN_OR_RETURN(view.scene_from_sensor, AffineFromProto(message.scene_from_sensor(), "chain.scene_from_sensor"));
+  TREM_ASSIGN_OR_RETURN(view.corner_covariance_px2, CornerCovariance(message.corner_covariance_px2()));
+  view.gain = message.gain();
+  view.offset = message.offset();
+  const auto& covariance = message.gain_offset_covariance();
+  if (!std::isfinite(view.gain) || !std::isfinite(view.offset) || covariance.size() != 3 || !AllFinite(covariance)) {
+    return Corrupt("chain.gain, offset and gain_offset_covariance (3 numbers) are not all finite");
+  }
+  const double cov_max = std::sqrt(std::max(0.0, covariance[0]) * std::max(0.0, covariance[2]));
+  const double cov = std::clamp(covariance[1], -cov_max, cov_max);
+  view.gain_offset_covariance << std::max(0.0, covariance[0]), cov, cov, std::max(0.0, covariance[2]);
+  return view;
+}
+
+Status AddWindow(const v1::WindowResult& window, std::uint32_t frame_count, AlignTaskInput& input) {
+  for (const v1::Segment& message : window.segments()) {
+    align::Segment segment;
+    segment.window_id = window.window_id();
+    segment.segment_id = message.segment_id();
+    segment.roi_in_sensor = FromProto(window.roi_in_sensor());
+    if (segment.roi_in_sensor.width() < 2 || segment.roi_in_sensor.height() < 2) return Corrupt("roi_in_sensor is smaller than 2 x 2 pixels");
+    for (const v1::ChainView& view : message.chain()) {
+      TREM_ASSIGN_OR_RETURN(align::ChainView converted, ViewFromProto(view, frame_count));
+      segment.chain.push_back(std::move(converted));
+    }
+    for (const v1::EmittedScene& scene : message.scenes()) {
+      const Roi roi = FromProto(scene.roi_in_scene());
+      if (roi.width() < 2 || roi.height() < 2) return Corrupt("scene " + std::to_string(scene.scene_id()) + " is smaller than 2 x 2 cells");
+      segment.scenes.push_back({scene.scene_id(), roi, scene.frame_begin(), scene.frame_end()});
+      if (!input.rasters.emplace(std::pair(window.window_id(), scene.scene_id()), FromProto(scene.raster())).second) {
+        return Corrupt("scene " + std::to_string(scene.scene_id()) + " occurs twice");
+      }
+    }
+    if (!segment.scenes.empty() && segment.chain.empty()) return Corrupt("segment " + std::to_string(message.segment_id()) + " has scenes but no chain");
+    input.align.segments.push_back(std::move(segment));
+  }
+  return {};
+}
+
+bool HasCorners(const v1::ManifestFrame& frame) { return frame.corner_lon_lat_deg_size() == 8 && AllFinite(frame.corner_lon_lat_deg()); }
+
+bool UsablePose(const v1::ManifestFrame& frame) {
+  if (!frame.has_pose()) return false;
+  const v1::Pose& pose = frame.pose();
+  for (const double x : {pose.latitude_deg(), pose.longitude_deg(), pose.altitude_m(), pose.yaw_deg(), pose.pitch_deg(), pose.roll_deg(), pose.hfov_deg()}) {
+    if (!std::isfinite(x)) return false;
+  }
+  return pose.hfov_deg() > 0.0 && pose.hfov_deg() < 180.0;
+}
+
+// Latitude and longitude of a frame with telemetry.
+std::pair<double, double> PlaceOf(const v1::ManifestFrame& frame) {
+  if (UsablePose(frame)) return {frame.pose().latitude_deg(), frame.pose().longitude_deg()};
+  return {frame.corner_lon_lat_deg(1), frame.corner_lon_lat_deg(0)};
+}
+
+// Turns telemetry into anchors of the working world.
+class AnchorMaker {
+ public:
+  AnchorMaker(const UtmFrame& map, const Eigen::Vector2d& origin, double scale) : map_(map), origin_(origin), scale_(scale) {}
+
+  Result<align::FrameAnchor> Make(std::uint32_t index, const v1::ManifestFrame& frame, int width_px) const {
+    align::FrameAnchor anchor;
+    anchor.frame = index;
+    if (UsablePose(frame)) {
+      const v1::Pose& pose = frame.pose();
+      TREM_ASSIGN_OR_RETURN(const Eigen::Vector2d at, Working(pose.latitude_deg(), pose.longitude_deg()));
+      TREM_ASSIGN_OR_RETURN(const double convergence_rad, map_.ConvergenceRad(pose.latitude_deg(), pose.longitude_deg()));
+      CameraPose camera;
+      camera.position_m << at, pose.altitude_m();
+      camera.yaw_rad = pose.yaw_deg() * kRad - convergence_rad;
+      camera.pitch_rad = pose.pitch_deg() * kRad;
+      camera.roll_rad = pose.roll_deg() * kRad;
+      anchor.pose = camera;
+      anchor.focal_px = FocalFromHorizontalFov(width_px, pose.hfov_deg() * kRad);
+      return anchor;
+    }
+    std::array<Eigen::Vector2d, 4> corners;
+    for (int k = 0; k < 4; ++k) {
+      TREM_ASSIGN_OR_RETURN(corners[static_cast<std::size_t>(k)], Working(frame.corner_lon_lat_deg(2 * k + 1), frame.corner_lon_lat_deg(2 * k)));
+    }
+    anchor.corners = corners;
+    return anchor;
+  }
+
+ private:
+  Result<Eigen::Vector2d> Working(double latitude_deg, double longitude_deg) const {
+    TREM_ASSIGN_OR_RETURN(const Eigen::Vector2d x_in_map, map_.Forward(latitude_deg, longitude_deg));
+    return Eigen::Vector2d((x_in_map - origin_) / scale_);
+  }
+
+  const UtmFrame& map_;
+  Eigen::Vector2d origin_;
+  double scale_;
+};
+
+Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest, AlignTaskInput& input) {
+  std::vector<std::uint32_t> with_telemetry;
+  std::vector<std::uint32_t> below_ground;
+  for (std::uint32_t t = 0; t < static_cast<std::uint32_t>(manifest.frames_size()); ++t) {
+    const v1::ManifestFrame& frame = manifest.frames(static_cast<int>(t));
+    const bool pose = UsablePose(frame);
+    if (pose && !(frame.pose().altitude_m() > input.align.ground_z_m)) {
+      below_ground.push_back(t);
+    } else if (pose || HasCorners(frame)) {
+      with_telemetry.push_back(t);
+    }
+  }
+  if (!below_ground.empty()) {
+    input.notes.push_back(MakeNote("camera_below_ground", "frame " + manifest.frames(static_cast<int>(below_ground.front())).name(),
+                                   std::to_string(below_ground.size()) + " frames have an altitude at or below the ground elevation of " +
+                                       std::to_string(input.align.ground_z_m) +
+                                       " m; their telemetry is not used. Set telemetry.ground_elevation_m in the datum of altitude_m",
+                                   v1::WARNING));
+  }
+  if (with_telemetry.empty() || sortie.telemetry().ignore()) return {};
+  const auto [latitude_deg, longitude_deg] = PlaceOf(manifest.frames(static_cast<int>(with_telemetry[with_telemetry.size() / 2])));
+  Result<UtmFrame> map = sortie.mosaic().crs().empty() ? UtmFrame::ForPoint(latitude_deg, longitude_deg) : UtmFrame::ForCrs(sortie.mosaic().crs());
+  if (!map.ok()) return map.status().WithPrefix("mosaic.crs");
+  TREM_ASSIGN_OR_RETURN(Eigen::Vector2d origin, map->Forward(latitude_deg, longitude_deg));
+  origin = origin.array().round();
+  TREM_ASSIGN_OR_RETURN(input.scale, map->ScaleFactor(latitude_deg, longitude_deg));
+  input.crs_wkt = map->wkt();
+  input.map_from_working.matrix << input.scale, 0.0, origin.x(), 0.0, input.scale, origin.y(), 0.0, 0.0, 1.0;
+  const AnchorMaker maker(*map, origin, input.scale);
+  for (const std::uint32_t t : with_telemetry) {
+    Result<align::FrameAnchor> anchor = maker.Make(t, manifest.frames(static_cast<int>(t)), input.align.width_px);
+    if (!anchor.ok()) return anchor.status().WithPrefix("frame " + manifest.frames(static_cast<int>(t)).name());
+    input.align.anchors.push_back(std::move(*anchor));
+  }
+  input.telemetry = true;
+  return {};
+}
+
+}  // namespace
+
+v1::Note MakeNote(const std::string& code, const std::string& subject, const std::string& message, v1::Severity severity) {
+  v1::Note note;
+  note.set_code(code);
+  note.set_subject(subject);
+  note.set_message(message);
+  note.set_severity(severity);
+  return note;
+}
+
+Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const std::vector<v1::WindowResult>& windows) {
+  AlignTaskInput input;
+  input.crs_wkt = LocalPixelCrsWkt();
+  align::AlignInput& align = input.align;
+  align.width_px = static_cast<int>(manifest.width_px());
+  align.height_px = static_cast<int>(manifest.height_px());
+  if (align.width_px < 2 || align.height_px < 2 || align.width_px > (1 << 20) || align.height_px > (1 << 20)) {
+    return Corrupt("the manifest's frames are " + std::to_string(manifest.width_px()) + " x " + std::to_string(manifest.height_px()) + " pixels");
+  }
+  align.ratio = static_cast<int>(sortie.tre().ratio() > 0 ? sortie.tre().ratio() : kDefaultRatio);
+  align.ground_z_m = sortie.telemetry().has_ground_elevation_m() ? sortie.telemetry().ground_elevation_m() : manifest.ground_elevation_m();
+  if (sortie.telemetry().position_sigma_m() > 0.0) align.position_sigma_m = sortie.telemetry().position_sigma_m();
+  if (sortie.telemetry().attitude_sigma_deg() > 0.0) align.attitude_sigma_rad = sortie.telemetry().attitude_sigma_deg() * kRad;
+  for (const v1::WindowResult& window : windows) {
+    const Status status = AddWindow(window, static_cast<std::uint32_t>(manifest.frames_size()), input);
+    if (!status.ok()) return status.WithPrefix("window " + std::to_string(window.window_id()));
+  }
+  if (!sortie.mosaic().crs().empty()) TREM_RETURN_IF_ERROR(UtmFrame::ForCrs(sortie.mosaic().crs()).status().WithPrefix("mosaic.crs"));
+  TREM_RETURN_IF_ERROR(AddTelemetry(sortie, manifest, input));
+  return input;
+}
+
+}  // namespace trem
