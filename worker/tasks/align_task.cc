@@ -1,9 +1,6 @@
 // ALIGN: every window's chains and scenes, and telemetry -> alignment.pb, where every scene lies on the mosaic.
 #include <algorithm>
-#include <map>
 #include <opencv2/core.hpp>
-#include <set>
-#include <sstream>
 #include <string>
 #include <vector>
 
@@ -15,6 +12,7 @@
 #include "worker/tasks/align_input.h"
 #include "worker/tasks/align_notes.h"
 #include "worker/tasks/task.h"
+#include "worker/tasks/task_inputs.h"
 
 namespace trem {
 namespace {
@@ -23,17 +21,12 @@ namespace {
 constexpr long long kSceneCellsMax = 1LL << 24;
 
 Status ReadInputs(const v1::TaskSpec& spec, const TaskContext& context, v1::SortieManifest* manifest, std::vector<v1::WindowResult>* windows) {
-  bool found = false;
-  for (const v1::ArtefactRef& ref : spec.inputs()) {
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, manifest));
+  for (const v1::ArtefactRef& ref : InputsNamed(spec, "window.pb")) {
     if (!context.progress(0.0)) return Cancelled("the alignment was stopped on request");
-    if (ref.name() == "manifest.pb") {
-      TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, ref, manifest));
-      found = true;
-    } else if (ref.name() == "window.pb") {
-      TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, ref, &windows->emplace_back()));
-    }
+    TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, ref, &windows->emplace_back()));
   }
-  if (!found) return InvalidInput("ALIGN task " + spec.key() + " has no input named manifest.pb");
   std::sort(windows->begin(), windows->end(), [](const v1::WindowResult& a, const v1::WindowResult& b) { return a.window_id() < b.window_id(); });
   return {};
 }
