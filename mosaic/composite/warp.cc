@@ -23,11 +23,15 @@ double Keys(double t) {
 
 // Stretch of the kernel for a step of `step` cells a pixel: 1 up to 1.25, the step from 1.75 on, linear in between so that sharpness
 // changes nowhere abruptly.
-double KernelScale(double step) {
-  if (step <= 1.25) return 1.0;
+// Takes the squared step: the root is needed only where the kernel is stretched.
+double KernelScale(double step_squared) {
+  if (step_squared <= 1.25 * 1.25) return 1.0;
+  const double step = std::sqrt(step_squared);
   if (step < 1.75) return 1.0 + (step - 1.25) * 1.5;
   return std::min(step, kWarpScaleMax);
 }
+
+double SquaredNorm(double a, double b) { return a * a + b * b; }
 
 struct Taps {
   int first = 0;  // Cell index of weight[0], relative to the source's images.
@@ -37,6 +41,24 @@ struct Taps {
 
 // Normalised weights around `s` (relative to the image); trims weights of exactly 0, so that a pixel on a cell's centre needs no others.
 void ComputeTaps(double s, double scale, Taps* taps) {
+  if (scale == 1.0) {
+    // The usual case, in closed form: the four weights sum to 1 by construction.
+    const double base = std::floor(s), f = s - base;
+    if (f == 0.0) {
+      taps->first = static_cast<int>(base);
+      taps->count = 1;
+      taps->weight[0] = 1.0;
+      return;
+    }
+    const double g = 1.0 - f;
+    taps->first = static_cast<int>(base) - 1;
+    taps->count = 4;
+    taps->weight[0] = kKeysA * f * g * g;
+    taps->weight[1] = ((kKeysA + 2.0) * f - (kKeysA + 3.0)) * f * f + 1.0;
+    taps->weight[2] = ((kKeysA + 2.0) * g - (kKeysA + 3.0)) * g * g + 1.0;
+    taps->weight[3] = kKeysA * g * f * f;
+    return;
+  }
   const double radius = 2.0 * scale;
   int first = static_cast<int>(std::ceil(s - radius));
   int last = static_cast<int>(std::floor(s + radius));
@@ -159,13 +181,13 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
       if (!(cell_x >= 0.0 && cell_y >= 0.0 && cell_x < source_width && cell_y < source_height)) continue;
       const float distance = source.border_distance.at(static_cast<int>(cell_x), static_cast<int>(cell_y));
       if (!(distance > 0.0f)) continue;
-      const double scale_u = KernelScale(std::hypot(m(0, 0) - u * m(2, 0), m(0, 1) - u * m(2, 1)) / depth);
-      const double scale_v = KernelScale(std::hypot(m(1, 0) - v * m(2, 0), m(1, 1) - v * m(2, 1)) / depth);
+      const double scale_u = KernelScale(SquaredNorm((m(0, 0) - u * m(2, 0)) / depth, (m(0, 1) - u * m(2, 1)) / depth));
+      const double scale_v = KernelScale(SquaredNorm((m(1, 0) - v * m(2, 0)) / depth, (m(1, 1) - v * m(2, 1)) / depth));
       ComputeTaps(u - nearest_u, scale_u, &tx);
       ComputeTaps(v - nearest_v, scale_v, &ty);
       tx.first += static_cast<int>(cell_x);
       ty.first += static_cast<int>(cell_y);
-      const bool surely_seen = distance > 2.0 * std::hypot(scale_u, scale_v) + 1.5;
+      const bool surely_seen = distance > 2.0 * (scale_u + scale_v) + 1.5;
       Sample sample;
       if (!Convolve(source, tx, ty, surely_seen, &sample)) continue;
       warped.intensity.at(column, row) = static_cast<float>(sample.intensity);

@@ -55,7 +55,7 @@ TEST(Warp, ReproducesASmoothSceneUnderAHomography) {
   }
   // Area of the scene minus a border of 2 cells, over the cells a pixel takes.
   EXPECT_GT(valid, 15000);
-  // Keys' error for a wave of period P cells is about amplitude * (2 pi / P)^3 / 24 and a half: 0.4 of 40 at P = 12 and 15.
+  // The error falls with the cube of cells per period; at 12 and 15 cells it is about a hundredth of the amplitude of 40.
   EXPECT_LT(worst, 1.5);
   EXPECT_LT(std::sqrt(square / valid), 0.5);
 }
