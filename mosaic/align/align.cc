@@ -45,7 +45,8 @@ class ContentRounds {
       if (!tried_.insert(pair).second) continue;
       if (!progress()) return Cancelled("the alignment was stopped on request");
       const auto [a, b] = pair;
-      std::optional<ContentTie> tie = MatchFeatures(a, features_[static_cast<std::size_t>(a)], b, features_[static_cast<std::size_t>(b)], graph_.input.ratio, options_);
+      std::optional<ContentTie> tie =
+          MatchFeatures(a, features_[static_cast<std::size_t>(a)], b, features_[static_cast<std::size_t>(b)], graph_.input.ratio, options_);
       if (!tie || !Credible(*tie, state)) continue;
       ties.push_back(std::move(*tie));
       ++found;
@@ -61,7 +62,8 @@ class ContentRounds {
     if (state.scenes[a].piece != state.scenes[b].piece) return true;
     Eigen::Vector2d shift = Eigen::Vector2d::Zero();
     for (std::size_t k = 0; k < tie.x_in_a.size(); ++k) {
-      shift += (state.scenes[a].world_from_scene * tie.x_in_a[k] - state.scenes[b].world_from_scene * tie.x_in_b[k]) / static_cast<double>(tie.x_in_a.size());
+      shift += (state.scenes[a].world_from_scene * tie.x_in_a[k] - state.scenes[b].world_from_scene * tie.x_in_b[k]) /
+               static_cast<double>(tie.x_in_a.size());
     }
     const Roi& roi = graph_.scenes[a].scene.roi_in_scene;
     return shift.norm() < std::max(roi.width(), roi.height()) * ScaleAt(state.scenes[a].world_from_scene, CentreOf(roi));
@@ -80,7 +82,8 @@ bool AnyPieceAnchored(const AlignState& state) {
 }
 
 // Scenes into the solution, without those that nothing anchors or whose maps are not credible.
-void CollectScenes(const AlignGraph& graph, const AlignState& state, const SolveReport& report, const PhotometricBalance& balance, AlignSolution& solution) {
+void CollectScenes(const AlignGraph& graph, const AlignState& state, const SolveReport& report, const PhotometricBalance& balance,
+                   AlignSolution& solution) {
   std::vector<AlignedScene> placed;
   std::vector<double> areas;
   for (std::size_t s = 0; s < graph.scenes.size(); ++s) {
@@ -107,10 +110,13 @@ void CollectScenes(const AlignGraph& graph, const AlignState& state, const Solve
   const double median = sorted[sorted.size() / 2];
   for (std::size_t i = 0; i < placed.size(); ++i) {
     const double ratio = areas[i] / median;
-    const bool sane = std::isfinite(ratio) && ratio < 8.0 && ratio > 1.0 / 8.0 && RoiSeesGround(placed[i].world_from_scene, placed[i].roi_in_scene);
+    const bool sane =
+        std::isfinite(ratio) && ratio < 8.0 && ratio > 1.0 / 8.0 && RoiSeesGround(placed[i].world_from_scene, placed[i].roi_in_scene);
     (sane ? solution.scenes : solution.insane_scenes).push_back(placed[i]);
   }
-  const auto order = [](const AlignedScene& a, const AlignedScene& b) { return std::tie(a.window_id, a.scene_id) < std::tie(b.window_id, b.scene_id); };
+  const auto order = [](const AlignedScene& a, const AlignedScene& b) {
+    return std::tie(a.window_id, a.scene_id) < std::tie(b.window_id, b.scene_id);
+  };
   std::sort(solution.scenes.begin(), solution.scenes.end(), order);
 }
 
@@ -138,7 +144,8 @@ std::map<std::uint32_t, FramePoints> PointsOfFrames(const AlignGraph& graph, con
         const Scene& scene = graph.scenes[static_cast<std::size_t>(s)].scene;
         return std::abs(2.0 * view.frame + 1.0 - scene.frame_begin - scene.frame_end);
       };
-      const int nearest = *std::min_element(scenes_of_segment[g].begin(), scenes_of_segment[g].end(), [&](int a, int b) { return distance(a) < distance(b); });
+      const int nearest = *std::min_element(scenes_of_segment[g].begin(), scenes_of_segment[g].end(),
+                                            [&](int a, int b) { return distance(a) < distance(b); });
       const auto s = static_cast<std::size_t>(nearest);
       FramePoints& frame = points[view.frame];
       if (frame.views > 0 && frame.piece != state.scenes[s].piece) continue;
@@ -190,7 +197,8 @@ void CollectFrames(const AlignGraph& graph, const AlignState& state, const Photo
       frame.frame_from_balanced = balance.frame_from_balanced[unknown->second];
     } else if (points.u.size() >= 8) {
       const Result<Homography> fit = FitHomography(points.u, points.x_in_world);
-      if (fit.ok() && fit->Depth({0.5 * (graph.input.width_px - 1), 0.5 * (graph.input.height_px - 1)}) > 0.0) frame.world_from_sensor = *fit;
+      if (fit.ok() && fit->Depth({0.5 * (graph.input.width_px - 1), 0.5 * (graph.input.height_px - 1)}) > 0.0)
+        frame.world_from_sensor = *fit;
     }
     frame.residual_px = RmsPx(frame.world_from_sensor, points);
     solution.frames.push_back(frame);
@@ -295,9 +303,10 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   solution.georeferenced = AnyPieceAnchored(state);
   CollectScenes(graph, state, report, balance, solution);
   if (solution.scenes.empty()) {
-    return Failed("none of the " + std::to_string(graph.scenes.size()) + " enhanced scenes could be placed: " +
-                  std::to_string(solution.unplaced_scenes.size()) + " have no connection to a frame with telemetry, " +
-                  std::to_string(solution.insane_scenes.size()) + " have no credible map; check telemetry and its ground elevation, or set telemetry.ignore");
+    return Failed("none of the " + std::to_string(graph.scenes.size()) +
+                  " enhanced scenes could be placed: " + std::to_string(solution.unplaced_scenes.size()) +
+                  " have no connection to a frame with telemetry, " + std::to_string(solution.insane_scenes.size()) +
+                  " have no credible map; check telemetry and its ground elevation, or set telemetry.ignore");
   }
   CollectFrames(graph, state, balance, solution);
   LayOutPieces(graph, solution);

@@ -15,8 +15,8 @@ struct AlignedScene {
   std::uint32_t window_id = 0;
   std::uint32_t scene_id = 0;
   int piece = 0;
-  Homography world_from_scene;     // Working world from cells of the segment's scene plane; positive Depth() on the scene.
-  double position_sigma = 0.0;     // Standard error of the scene's centre, working units.
+  Homography world_from_scene;  // Working world from cells of the segment's scene plane; positive Depth() on the scene.
+  double position_sigma = 0.0;  // Standard error of the scene's centre, working units.
   GainOffset balanced_from_scene;
   Roi roi_in_scene;
 };
@@ -41,16 +41,16 @@ struct AlignSolution {
   std::vector<AlignedFrame> frames;  // Every frame that any chain registered, used as an unknown or not; sorted.
   int piece_count = 0;
   bool georeferenced = false;
-  std::string gauge;                 // What fixed the freedom that the data do not determine.
-  std::vector<OutlierTie> outlier_ties;     // Sorted by (window, scene, frame).
+  std::string gauge;                          // What fixed the freedom that the data do not determine.
+  std::vector<OutlierTie> outlier_ties;       // Sorted by (window, scene, frame).
   std::vector<std::uint32_t> horizon_frames;  // Frames some of whose ROIs reach the horizon and were left out there.
   std::vector<AlignedScene> unplaced_scenes;  // Georeferenced only: nothing connects them to a frame with telemetry.
   std::vector<AlignedScene> insane_scenes;    // Left out: area scale off by more than 8 from the median, or across the horizon.
   int used_frame_count = 0;
-  int content_tie_count = 0;         // Pairs of scenes tied by what they show.
+  int content_tie_count = 0;  // Pairs of scenes tied by what they show.
   int content_point_count = 0;
   int content_outlier_count = 0;
-  int join_count = 0;                // Pieces joined by content.
+  int join_count = 0;  // Pieces joined by content.
   double tie_rms_px = 0.0;
   double variance_factor = 1.0;
 };

@@ -14,9 +14,8 @@ namespace trem::align {
 namespace {
 
 void SortInput(AlignInput& input) {
-  std::sort(input.segments.begin(), input.segments.end(), [](const Segment& a, const Segment& b) {
-    return std::tie(a.window_id, a.segment_id) < std::tie(b.window_id, b.segment_id);
-  });
+  std::sort(input.segments.begin(), input.segments.end(),
+            [](const Segment& a, const Segment& b) { return std::tie(a.window_id, a.segment_id) < std::tie(b.window_id, b.segment_id); });
   for (Segment& segment : input.segments) {
     std::sort(segment.chain.begin(), segment.chain.end(), [](const ChainView& a, const ChainView& b) { return a.frame < b.frame; });
     std::sort(segment.scenes.begin(), segment.scenes.end(), [](const Scene& a, const Scene& b) { return a.scene_id < b.scene_id; });
@@ -60,13 +59,15 @@ std::vector<Candidate> CandidatesOf(const Segment& segment, const Scene& scene) 
   const double middle = 0.5 * (static_cast<double>(scene.frame_begin) + scene.frame_end);
   int nearest = 0;
   for (std::size_t v = 1; v < segment.chain.size(); ++v) {
-    if (std::abs(segment.chain[v].frame - middle) < std::abs(segment.chain[static_cast<std::size_t>(nearest)].frame - middle)) nearest = static_cast<int>(v);
+    if (std::abs(segment.chain[v].frame - middle) < std::abs(segment.chain[static_cast<std::size_t>(nearest)].frame - middle))
+      nearest = static_cast<int>(v);
   }
   return {{nearest, false}};
 }
 
 // The frames to use: every stride-th of all that appear, and as many more as scenes need, spread over the scene's candidates.
-std::set<std::uint32_t> ChooseFrames(const AlignGraph& graph, const std::vector<std::vector<Candidate>>& candidates, const AlignOptions& options) {
+std::set<std::uint32_t> ChooseFrames(const AlignGraph& graph, const std::vector<std::vector<Candidate>>& candidates,
+                                     const AlignOptions& options) {
   std::set<std::uint32_t> used;
   for (std::size_t s = 0; s < graph.scenes.size(); ++s) {
     const Segment& segment = graph.input.segments[static_cast<std::size_t>(graph.scenes[s].segment)];
@@ -128,7 +129,8 @@ AlignGraph BuildAlignGraph(AlignInput input, const AlignOptions& options) {
       const auto found = index_of_frame.find(segment.chain[static_cast<std::size_t>(candidate.view)].frame);
       if (found == index_of_frame.end()) continue;
       const int tie = static_cast<int>(graph.ties.size());
-      graph.ties.push_back({found->second, static_cast<int>(s), candidate.view, candidate.dominates ? options.tie_floor_px : options.neighbour_floor_px});
+      graph.ties.push_back(
+          {found->second, static_cast<int>(s), candidate.view, candidate.dominates ? options.tie_floor_px : options.neighbour_floor_px});
       graph.scenes[s].ties.push_back(tie);
       graph.frames[static_cast<std::size_t>(found->second)].ties.push_back(tie);
     }

@@ -38,7 +38,9 @@ struct AlignGraph {
   std::vector<Tie> ties;
   int stride = 1;
 
-  const Segment& SegmentOf(const Tie& tie) const { return input.segments[static_cast<std::size_t>(scenes[static_cast<std::size_t>(tie.scene)].segment)]; }
+  const Segment& SegmentOf(const Tie& tie) const {
+    return input.segments[static_cast<std::size_t>(scenes[static_cast<std::size_t>(tie.scene)].segment)];
+  }
   const ChainView& ViewOf(const Tie& tie) const { return SegmentOf(tie).chain[static_cast<std::size_t>(tie.view)]; }
 };
 

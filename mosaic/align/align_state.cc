@@ -42,7 +42,8 @@ std::vector<int> Components(const AlignGraph& graph, const std::vector<bool>& ti
       const int node = queue.front();
       queue.pop_front();
       const bool is_frame = node < frame_count;
-      const auto& ties = is_frame ? graph.frames[static_cast<std::size_t>(node)].ties : graph.scenes[static_cast<std::size_t>(node - frame_count)].ties;
+      const auto& ties =
+          is_frame ? graph.frames[static_cast<std::size_t>(node)].ties : graph.scenes[static_cast<std::size_t>(node - frame_count)].ties;
       for (const int t : ties) {
         if (tie_unusable[static_cast<std::size_t>(t)]) continue;
         const Tie& tie = graph.ties[static_cast<std::size_t>(t)];
@@ -190,7 +191,8 @@ bool RoiSeesGround(const Homography& world_from_sensor, const Roi& roi) {
   const double depth_at_centre = world_from_sensor.Depth(centre);
   if (!(depth_at_centre > 0.0) || !(std::abs(world_from_sensor.matrix.determinant()) > 0.0)) return false;
   const auto corners = RoiCorners(roi);
-  return std::all_of(corners.begin(), corners.end(), [&](const Eigen::Vector2d& u) { return world_from_sensor.Depth(u) > 0.05 * depth_at_centre; });
+  return std::all_of(corners.begin(), corners.end(),
+                     [&](const Eigen::Vector2d& u) { return world_from_sensor.Depth(u) > 0.05 * depth_at_centre; });
 }
 
 AlignState InitialState(const AlignGraph& graph) {

@@ -21,11 +21,11 @@ Camera CameraFromAnchor(const FrameAnchor& anchor);
 Homography GroundFromCamera(const Camera& camera, const AlignInput& input);
 
 struct FrameState {
-  std::optional<Camera> camera;   // Frames with a pose: the map follows from it.
-  Homography world_from_sensor;   // Of the others it is free.
-  double log_scale0 = 0.0;        // Without telemetry: log of the linear scale at the image centre that the chain suggests.
-  int piece = -1;                 // -1: not placed.
-  bool gauge = false;             // Held fixed: the reference of a piece without telemetry.
+  std::optional<Camera> camera;  // Frames with a pose: the map follows from it.
+  Homography world_from_sensor;  // Of the others it is free.
+  double log_scale0 = 0.0;       // Without telemetry: log of the linear scale at the image centre that the chain suggests.
+  int piece = -1;                // -1: not placed.
+  bool gauge = false;            // Held fixed: the reference of a piece without telemetry.
 };
 
 struct SceneState {

@@ -79,7 +79,8 @@ Footprint FootprintOf(const AlignGraph& graph, const AlignState& state, int s) {
   const Roi& roi = node.scene.roi_in_scene;
   Footprint footprint;
   footprint.centre = world_from_scene * Eigen::Vector2d(0.5 * (roi.x0 + roi.x1 - 1), 0.5 * (roi.y0 + roi.y1 - 1));
-  for (const Eigen::Vector2d& corner : RoiCorners(roi)) footprint.radius = std::max(footprint.radius, (world_from_scene * corner - footprint.centre).norm());
+  for (const Eigen::Vector2d& corner : RoiCorners(roi))
+    footprint.radius = std::max(footprint.radius, (world_from_scene * corner - footprint.centre).norm());
   footprint.middle_frame = 0.5 * (static_cast<double>(node.scene.frame_begin) + node.scene.frame_end);
   for (const int t : node.ties) footprint.frames.push_back(graph.ties[static_cast<std::size_t>(t)].frame);
   std::sort(footprint.frames.begin(), footprint.frames.end());

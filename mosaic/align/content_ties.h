@@ -24,11 +24,11 @@ struct ContentOptions {
   double inlier_px = 2.0;             // Sensor px; relief and perspective leave more than noise does.
   int inliers_min = 25;
   double inlier_fraction_min = 0.35;
-  int points_max = 16;                // Points kept a tie, spread evenly.
-  double overlap_min = 0.4;           // Of the smaller scene.
-  int partners_max = 6;               // Pairs tried a scene and round.
-  int scenes_max = 600;               // Scenes that take part, spread evenly.
-  int cross_piece_pairs_max = 400;    // Pairs tried between pieces whose relation is unknown.
+  int points_max = 16;              // Points kept a tie, spread evenly.
+  double overlap_min = 0.4;         // Of the smaller scene.
+  int partners_max = 6;             // Pairs tried a scene and round.
+  int scenes_max = 600;             // Scenes that take part, spread evenly.
+  int cross_piece_pairs_max = 400;  // Pairs tried between pieces whose relation is unknown.
 };
 
 // `intensity` and `information` have the size of `roi_in_scene`; cells with information 0 or without a finite intensity are masked.

@@ -71,9 +71,9 @@ struct ContentTie {
 };
 
 struct AlignInput {
-  int width_px = 0;   // Of the sensor.
+  int width_px = 0;  // Of the sensor.
   int height_px = 0;
-  int ratio = 3;      // Scene cells per sensor pixel.
+  int ratio = 3;  // Scene cells per sensor pixel.
   double ground_z_m = 0.0;
   double position_sigma_m = 1.0;
   double attitude_sigma_rad = 0.1 * 0.017453292519943295;

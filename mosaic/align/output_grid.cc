@@ -45,9 +45,10 @@ Result<MosaicGrid> ChooseGrid(std::span<const SceneFootprint> footprints, double
   const double height = row_first - row_last + 1.0;
   if (!(width <= options.side_max) || !(height <= options.side_max)) {
     std::ostringstream message;
-    message << "the mosaic would be " << width << " x " << height << " pixels at a ground sample distance of " << grid.gsd << "; expected at most "
-            << options.side_max << " a side. Set mosaic.gsd to at least "
-            << grid.gsd * std::max(width, height) / options.side_max << ", or split the sortie with source.first_frame and source.max_frames";
+    message << "the mosaic would be " << width << " x " << height << " pixels at a ground sample distance of " << grid.gsd
+            << "; expected at most " << options.side_max << " a side. Set mosaic.gsd to at least "
+            << grid.gsd * std::max(width, height) / options.side_max
+            << ", or split the sortie with source.first_frame and source.max_frames";
     return InvalidInput(message.str());
   }
   grid.origin_x = column_first * grid.gsd;

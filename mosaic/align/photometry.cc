@@ -62,12 +62,14 @@ Result<PhotometricBalance> Balance(const AlignGraph& graph) {
   problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
   ceres::CauchyLoss loss(3.0);
   ceres::Problem problem(problem_options);
-  for (auto& frame : frames) problem.AddResidualBlock(new ceres::AutoDiffCostFunction<FramePrior, 2, 2>(new FramePrior), nullptr, frame.data());
+  for (auto& frame : frames)
+    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<FramePrior, 2, 2>(new FramePrior), nullptr, frame.data());
   for (const Tie& tie : graph.ties) {
     const ChainView& view = graph.ViewOf(tie);
     if (!(view.gain > 1e-3)) continue;
-    problem.AddResidualBlock(new ceres::AutoDiffCostFunction<ViewResidual, 2, 2, 2>(new ViewResidual{view.gain, view.offset, ViewWhitener(view)}), &loss,
-                             frames[static_cast<std::size_t>(tie.frame)].data(), scenes[static_cast<std::size_t>(tie.scene)].data());
+    problem.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<ViewResidual, 2, 2, 2>(new ViewResidual{view.gain, view.offset, ViewWhitener(view)}), &loss,
+        frames[static_cast<std::size_t>(tie.frame)].data(), scenes[static_cast<std::size_t>(tie.scene)].data());
   }
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;

@@ -25,7 +25,8 @@ inline constexpr int kCameraParameters = 6;  // dx, dy, dz [m], rotation about t
 // Applies D to (x, y, w).
 template <typename T>
 Eigen::Matrix<T, 3, 1> ApplyDelta(const T* d, const Eigen::Matrix<T, 3, 1>& x) {
-  return {(1.0 + d[0]) * x(0) + d[1] * x(1) + d[2] * x(2), d[3] * x(0) + (1.0 + d[4]) * x(1) + d[5] * x(2), d[6] * x(0) + d[7] * x(1) + x(2)};
+  return {(1.0 + d[0]) * x(0) + d[1] * x(1) + d[2] * x(2), d[3] * x(0) + (1.0 + d[4]) * x(1) + d[5] * x(2),
+          d[6] * x(0) + d[7] * x(1) + x(2)};
 }
 
 // World point (homogeneous) of a point of the scene's unit square; false beyond the horizon.
@@ -132,8 +133,8 @@ struct ContentResidual {
 
 // A camera's deviation from its telemetry, less the shared bias: 6 residuals.
 struct CameraPrior {
-  Eigen::Vector3d position_offset_m;    // Current position minus telemetry's.
-  Eigen::Quaterniond camera_rotation;   // telemetry_camera_from_current_camera.
+  Eigen::Vector3d position_offset_m;   // Current position minus telemetry's.
+  Eigen::Quaterniond camera_rotation;  // telemetry_camera_from_current_camera.
   double position_sigma_m = 1.0;
   double attitude_sigma_rad = 1.0;
 

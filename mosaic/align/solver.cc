@@ -104,7 +104,8 @@ ceres::Problem::Options BorrowedLosses() {
 
 Equations::Equations(const AlignGraph& graph, std::span<const ContentTie> content_ties, const AlignOptions& options, AlignState& state)
     : graph_(graph), options_(options), state_(state), problem_(std::make_unique<ceres::Problem>(BorrowedLosses())) {
-  sensor_ = {0.5 * (graph.input.width_px - 1), 0.5 * (graph.input.height_px - 1), 0.5 * std::max(graph.input.width_px, graph.input.height_px)};
+  sensor_ = {0.5 * (graph.input.width_px - 1), 0.5 * (graph.input.height_px - 1),
+             0.5 * std::max(graph.input.width_px, graph.input.height_px)};
   frame_parameters_.resize(graph.frames.size());
   scene_parameters_.resize(graph.scenes.size());
   for (auto& parameters : frame_parameters_) parameters.fill(0.0);
@@ -141,7 +142,8 @@ FreeProjection Equations::FreeProjectionOf(int frame) const {
   const Homography& world_from_sensor = state_.frames[static_cast<std::size_t>(frame)].world_from_sensor;
   projection.unit_from_world = unit_from_sensor * world_from_sensor.matrix.inverse();
   // Third coordinate 1 at the image centre.
-  const Eigen::Vector3d centre = projection.unit_from_world * (world_from_sensor * Eigen::Vector2d(sensor_.centre_x, sensor_.centre_y)).homogeneous();
+  const Eigen::Vector3d centre =
+      projection.unit_from_world * (world_from_sensor * Eigen::Vector2d(sensor_.centre_x, sensor_.centre_y)).homogeneous();
   projection.unit_from_world /= centre.z();
   return projection;
 }
@@ -162,8 +164,9 @@ void Equations::AddFrames() {
                                  nullptr, parameters);
     } else {
       // A frame without telemetry among those with: no idea of its shape, but nothing may stay undetermined.
-      problem_->AddResidualBlock(new ceres::NormalPrior(Eigen::MatrixXd::Identity(kMapParameters, kMapParameters), Eigen::VectorXd::Zero(kMapParameters)),
-                                 nullptr, parameters);
+      problem_->AddResidualBlock(
+          new ceres::NormalPrior(Eigen::MatrixXd::Identity(kMapParameters, kMapParameters), Eigen::VectorXd::Zero(kMapParameters)), nullptr,
+          parameters);
     }
   }
 }
@@ -184,8 +187,9 @@ void Equations::AddScenes() {
     double* const parameters = scene_parameters_[s].data();
     problem_->AddParameterBlock(parameters, kMapParameters);
     // One half size of freedom: negligible beside any tie; keeps a scene that a single weak view holds from being singular.
-    problem_->AddResidualBlock(new ceres::NormalPrior(Eigen::MatrixXd::Identity(kMapParameters, kMapParameters), Eigen::VectorXd::Zero(kMapParameters)),
-                               nullptr, parameters);
+    problem_->AddResidualBlock(
+        new ceres::NormalPrior(Eigen::MatrixXd::Identity(kMapParameters, kMapParameters), Eigen::VectorXd::Zero(kMapParameters)), nullptr,
+        parameters);
   }
 }
 
@@ -200,16 +204,16 @@ void Equations::AddAnchorPriors() {
     if (frame.camera) {
       const Camera telemetry = CameraFromAnchor(anchor);
       const Eigen::Matrix3d rotation = telemetry.world_from_camera.transpose() * frame.camera->world_from_camera;
-      cost = new ceres::AutoDiffCostFunction<CameraPrior, 6, kCameraParameters, kCameraParameters>(
-          new CameraPrior{frame.camera->position_m - telemetry.position_m, Eigen::Quaterniond(rotation), white_m, input.attitude_sigma_rad});
+      cost = new ceres::AutoDiffCostFunction<CameraPrior, 6, kCameraParameters, kCameraParameters>(new CameraPrior{
+          frame.camera->position_m - telemetry.position_m, Eigen::Quaterniond(rotation), white_m, input.attitude_sigma_rad});
     } else {
       const double gsd_m = std::exp(frame.log_scale0);
       const double right = input.width_px - 0.5, bottom = input.height_px - 0.5;
-      cost = new ceres::AutoDiffCostFunction<CornerPrior, 8, kMapParameters, kCameraParameters>(
-          new CornerPrior{FreeProjectionOf(static_cast<int>(f)),
-                          *anchor.corners,
-                          {Eigen::Vector2d(-0.5, -0.5), Eigen::Vector2d(right, -0.5), Eigen::Vector2d(right, bottom), Eigen::Vector2d(-0.5, bottom)},
-                          input.position_sigma_m / gsd_m});
+      cost = new ceres::AutoDiffCostFunction<CornerPrior, 8, kMapParameters, kCameraParameters>(new CornerPrior{
+          FreeProjectionOf(static_cast<int>(f)),
+          *anchor.corners,
+          {Eigen::Vector2d(-0.5, -0.5), Eigen::Vector2d(right, -0.5), Eigen::Vector2d(right, bottom), Eigen::Vector2d(-0.5, bottom)},
+          input.position_sigma_m / gsd_m});
     }
     problem_->AddResidualBlock(cost, nullptr, frame_parameters_[f].data(), bias_.data());
     has_bias_ = true;
@@ -256,9 +260,9 @@ void Equations::AddContentTies(std::span<const ContentTie> content_ties) {
       const Eigen::Matrix2d cells_from_world = world_from_a.LinearisedAt(tie.x_in_a[k]).linear.inverse();
       const Eigen::Matrix2d whitened_from_world = cells_from_world / (graph_.input.ratio * options_.content_sigma_px);
       content_blocks_.push_back(problem_->AddResidualBlock(
-          new ceres::AutoDiffCostFunction<ContentResidual, 2, kMapParameters, kMapParameters>(new ContentResidual{
-              world_from_unit_[a], world_from_unit_[b], (unit_from_scene_[a] * tie.x_in_a[k].homogeneous()).head<2>(),
-              (unit_from_scene_[b] * tie.x_in_b[k].homogeneous()).head<2>(), whitened_from_world}),
+          new ceres::AutoDiffCostFunction<ContentResidual, 2, kMapParameters, kMapParameters>(
+              new ContentResidual{world_from_unit_[a], world_from_unit_[b], (unit_from_scene_[a] * tie.x_in_a[k].homogeneous()).head<2>(),
+                                  (unit_from_scene_[b] * tie.x_in_b[k].homogeneous()).head<2>(), whitened_from_world}),
           &content_loss_, scene_parameters_[a].data(), scene_parameters_[b].data()));
     }
   }
@@ -336,9 +340,10 @@ Status Equations::ComputeSigmas(SolveReport& report) {
   }
   if (has_bias_) take(bias_.data(), kCameraParameters);
   ceres::CRSMatrix crs;
-  if (used.empty() || !problem_->Evaluate(evaluate, nullptr, nullptr, nullptr, &crs)) return Failed("the alignment's Jacobian can't be evaluated");
-  const Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>> jacobian(crs.num_rows, crs.num_cols, static_cast<Eigen::Index>(crs.values.size()),
-                                                                               crs.rows.data(), crs.cols.data(), crs.values.data());
+  if (used.empty() || !problem_->Evaluate(evaluate, nullptr, nullptr, nullptr, &crs))
+    return Failed("the alignment's Jacobian can't be evaluated");
+  const Eigen::Map<const Eigen::SparseMatrix<double, Eigen::RowMajor>> jacobian(
+      crs.num_rows, crs.num_cols, static_cast<Eigen::Index>(crs.values.size()), crs.rows.data(), crs.cols.data(), crs.values.data());
   const Eigen::SparseMatrix<double> columns_first = jacobian;
   const Eigen::SparseMatrix<double> normal = columns_first.transpose() * columns_first;
   const Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>> ldlt(normal);

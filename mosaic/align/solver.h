@@ -13,12 +13,12 @@ struct SolveReport {
   // How much larger the ties' squared residuals are than their covariances promise (median based; at least 1). Everything is
   // weighted by it in the last pass, so that sigmas are honest where relief or drift exceed the floor.
   double variance_factor = 1.0;
-  double tie_rms_px = 0.0;                  // Robust rms of one coordinate of a tie's residuals, sensor px.
-  std::vector<double> tie_norm2;            // Squared whitened residual of each tie / variance_factor; expectation <= 8. -1: unused.
-  std::vector<double> tie_error2_px2;       // Mean squared residual of each tie's coordinates, px^2. -1: unused.
-  std::vector<double> scene_sigma;          // Standard error of each scene's centre, working world units: sqrt of the larger eigenvalue.
+  double tie_rms_px = 0.0;             // Robust rms of one coordinate of a tie's residuals, sensor px.
+  std::vector<double> tie_norm2;       // Squared whitened residual of each tie / variance_factor; expectation <= 8. -1: unused.
+  std::vector<double> tie_error2_px2;  // Mean squared residual of each tie's coordinates, px^2. -1: unused.
+  std::vector<double> scene_sigma;     // Standard error of each scene's centre, working world units: sqrt of the larger eigenvalue.
   int content_point_count = 0;
-  int content_outlier_count = 0;            // Points further than 4 sigma.
+  int content_outlier_count = 0;  // Points further than 4 sigma.
   bool converged = false;
 };
 

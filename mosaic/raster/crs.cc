@@ -75,9 +75,7 @@ Result<std::string> CrsWkt(const std::string& crs) {
   return ExportWkt(reference);
 }
 
-std::string LocalPixelCrsWkt() {
-  return R"(LOCAL_CS["local, sensor pixels",UNIT["pixel",1],AXIS["X",EAST],AXIS["Y",NORTH]])";
-}
+std::string LocalPixelCrsWkt() { return R"(LOCAL_CS["local, sensor pixels",UNIT["pixel",1],AXIS["X",EAST],AXIS["Y",NORTH]])"; }
 
 struct UtmFrame::State {
   std::string name;
@@ -142,7 +140,8 @@ Result<Eigen::Vector2d> UtmFrame::Inverse(const Eigen::Vector2d& x_in_map) const
   int success = 0;
   state_->geographic_from_map->Transform(1, &x, &y, nullptr, &success);
   if (success == 0 || !std::isfinite(x) || !std::isfinite(y)) {
-    return InvalidInput("the point (" + std::to_string(x_in_map.x()) + ", " + std::to_string(x_in_map.y()) + ") is outside CRS \"" + state_->name + "\"");
+    return InvalidInput("the point (" + std::to_string(x_in_map.x()) + ", " + std::to_string(x_in_map.y()) + ") is outside CRS \"" +
+                        state_->name + "\"");
   }
   return Eigen::Vector2d(y, x);
 }

@@ -35,7 +35,8 @@ Result<align::Matrix6d> CornerCovariance(const google::protobuf::RepeatedField<d
 
 Result<align::ChainView> ViewFromProto(const v1::ChainView& message, std::uint32_t frame_count) {
   if (message.frame_index() >= frame_count) {
-    return Corrupt("chain.frame_index is " + std::to_string(message.frame_index()) + "; the manifest has " + std::to_string(frame_count) + " frames");
+    return Corrupt("chain.frame_index is " + std::to_string(message.frame_index()) + "; the manifest has " + std::to_string(frame_count) +
+                   " frames");
   }
   align::ChainView view;
   view.frame = message.frame_index();
@@ -59,7 +60,8 @@ Status AddWindow(const v1::WindowResult& window, std::uint32_t frame_count, Alig
     segment.window_id = window.window_id();
     segment.segment_id = message.segment_id();
     segment.roi_in_sensor = FromProto(window.roi_in_sensor());
-    if (segment.roi_in_sensor.width() < 2 || segment.roi_in_sensor.height() < 2) return Corrupt("roi_in_sensor is smaller than 2 x 2 pixels");
+    if (segment.roi_in_sensor.width() < 2 || segment.roi_in_sensor.height() < 2)
+      return Corrupt("roi_in_sensor is smaller than 2 x 2 pixels");
     for (const v1::ChainView& view : message.chain()) {
       TREM_ASSIGN_OR_RETURN(align::ChainView converted, ViewFromProto(view, frame_count));
       segment.chain.push_back(std::move(converted));
@@ -72,7 +74,8 @@ Status AddWindow(const v1::WindowResult& window, std::uint32_t frame_count, Alig
         return Corrupt("scene " + std::to_string(scene.scene_id()) + " occurs twice");
       }
     }
-    if (!segment.scenes.empty() && segment.chain.empty()) return Corrupt("segment " + std::to_string(message.segment_id()) + " has scenes but no chain");
+    if (!segment.scenes.empty() && segment.chain.empty())
+      return Corrupt("segment " + std::to_string(message.segment_id()) + " has scenes but no chain");
     input.align.segments.push_back(std::move(segment));
   }
   return {};
@@ -83,7 +86,8 @@ bool HasCorners(const v1::ManifestFrame& frame) { return frame.corner_lon_lat_de
 bool UsablePose(const v1::ManifestFrame& frame) {
   if (!frame.has_pose()) return false;
   const v1::Pose& pose = frame.pose();
-  for (const double x : {pose.latitude_deg(), pose.longitude_deg(), pose.altitude_m(), pose.yaw_deg(), pose.pitch_deg(), pose.roll_deg(), pose.hfov_deg()}) {
+  for (const double x :
+       {pose.latitude_deg(), pose.longitude_deg(), pose.altitude_m(), pose.yaw_deg(), pose.pitch_deg(), pose.roll_deg(), pose.hfov_deg()}) {
     if (!std::isfinite(x)) return false;
   }
   return pose.hfov_deg() > 0.0 && pose.hfov_deg() < 180.0;
@@ -118,7 +122,8 @@ class AnchorMaker {
     }
     std::array<Eigen::Vector2d, 4> corners;
     for (int k = 0; k < 4; ++k) {
-      TREM_ASSIGN_OR_RETURN(corners[static_cast<std::size_t>(k)], Working(frame.corner_lon_lat_deg(2 * k + 1), frame.corner_lon_lat_deg(2 * k)));
+      TREM_ASSIGN_OR_RETURN(corners[static_cast<std::size_t>(k)],
+                            Working(frame.corner_lon_lat_deg(2 * k + 1), frame.corner_lon_lat_deg(2 * k)));
     }
     anchor.corners = corners;
     return anchor;
@@ -156,7 +161,8 @@ Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest
   }
   if (with_telemetry.empty() || sortie.telemetry().ignore()) return {};
   const auto [latitude_deg, longitude_deg] = PlaceOf(manifest.frames(static_cast<int>(with_telemetry[with_telemetry.size() / 2])));
-  Result<UtmFrame> map = sortie.mosaic().crs().empty() ? UtmFrame::ForPoint(latitude_deg, longitude_deg) : UtmFrame::ForCrs(sortie.mosaic().crs());
+  Result<UtmFrame> map =
+      sortie.mosaic().crs().empty() ? UtmFrame::ForPoint(latitude_deg, longitude_deg) : UtmFrame::ForCrs(sortie.mosaic().crs());
   if (!map.ok()) return map.status().WithPrefix("mosaic.crs");
   TREM_ASSIGN_OR_RETURN(Eigen::Vector2d origin, map->Forward(latitude_deg, longitude_deg));
   origin = origin.array().round();
@@ -184,14 +190,16 @@ v1::Note MakeNote(const std::string& code, const std::string& subject, const std
   return note;
 }
 
-Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const std::vector<v1::WindowResult>& windows) {
+Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::SortieManifest& manifest,
+                                      const std::vector<v1::WindowResult>& windows) {
   AlignTaskInput input;
   input.crs_wkt = LocalPixelCrsWkt();
   align::AlignInput& align = input.align;
   align.width_px = static_cast<int>(manifest.width_px());
   align.height_px = static_cast<int>(manifest.height_px());
   if (align.width_px < 2 || align.height_px < 2 || align.width_px > (1 << 20) || align.height_px > (1 << 20)) {
-    return Corrupt("the manifest's frames are " + std::to_string(manifest.width_px()) + " x " + std::to_string(manifest.height_px()) + " pixels");
+    return Corrupt("the manifest's frames are " + std::to_string(manifest.width_px()) + " x " + std::to_string(manifest.height_px()) +
+                   " pixels");
   }
   align.ratio = static_cast<int>(sortie.tre().ratio() > 0 ? sortie.tre().ratio() : kDefaultRatio);
   align.ground_z_m = sortie.telemetry().has_ground_elevation_m() ? sortie.telemetry().ground_elevation_m() : manifest.ground_elevation_m();

@@ -16,10 +16,10 @@ namespace trem {
 struct AlignTaskInput {
   align::AlignInput align;
   std::map<std::pair<std::uint32_t, std::uint32_t>, ArtefactRef> rasters;  // By (window, scene).
-  bool telemetry = false;          // Some frame has an anchor.
-  std::string crs_wkt;             // Of the map; local without telemetry.
-  Homography map_from_working;     // Scale and shift: map = origin + scale factor * working.
-  double scale = 1.0;              // Map units per working unit.
+  bool telemetry = false;                                                  // Some frame has an anchor.
+  std::string crs_wkt;                                                     // Of the map; local without telemetry.
+  Homography map_from_working;                                             // Scale and shift: map = origin + scale factor * working.
+  double scale = 1.0;                                                      // Map units per working unit.
   std::vector<v1::Note> notes;
 };
 
@@ -28,7 +28,8 @@ struct AlignTaskInput {
 // The working world (see mosaic/align): map coordinates minus an origin near the first frames, divided by the projection's scale
 // factor there, so that it is metric; yaw is turned from true to grid north. The Earth's curvature below one footprint is neglected
 // (2 cm over 1 km).
-Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const std::vector<v1::WindowResult>& windows);
+Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::SortieManifest& manifest,
+                                      const std::vector<v1::WindowResult>& windows);
 
 v1::Note MakeNote(const std::string& code, const std::string& subject, const std::string& message, v1::Severity severity);
 

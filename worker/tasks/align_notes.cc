@@ -10,7 +10,8 @@ namespace trem {
 namespace {
 
 std::string FrameName(const v1::SortieManifest& manifest, std::uint32_t index) {
-  return index < static_cast<std::uint32_t>(manifest.frames_size()) ? manifest.frames(static_cast<int>(index)).name() : "#" + std::to_string(index);
+  return index < static_cast<std::uint32_t>(manifest.frames_size()) ? manifest.frames(static_cast<int>(index)).name()
+                                                                    : "#" + std::to_string(index);
 }
 
 std::string Rounded(double value, int digits) {
@@ -31,8 +32,10 @@ void AddLostFrames(const v1::SortieManifest& manifest, const FrameCensus& census
     }
     const std::string subject = count == 1 ? "frame " + FrameName(manifest, first->first)
                                            : "frames " + FrameName(manifest, first->first) + " to " + FrameName(manifest, last->first);
-    notes.push_back(MakeNote("frames_lost", subject, std::to_string(count) + (count == 1 ? " frame is" : " frames are") +
-                             " not in the mosaic, registered in no window: " + first->second, v1::WARNING));
+    notes.push_back(MakeNote("frames_lost", subject,
+                             std::to_string(count) + (count == 1 ? " frame is" : " frames are") +
+                                 " not in the mosaic, registered in no window: " + first->second,
+                             v1::WARNING));
     first = next;
   }
   if (census.lost_in_part.empty()) return;
@@ -46,7 +49,8 @@ void AddLostFrames(const v1::SortieManifest& manifest, const FrameCensus& census
 
 void AddPieces(const v1::SortieManifest& manifest, const align::AlignSolution& solution, std::vector<v1::Note>& notes) {
   if (solution.join_count > 0) {
-    notes.push_back(MakeNote("pieces_joined", "", std::to_string(solution.join_count) + " pieces that share no frame were joined by what they show", v1::INFO));
+    notes.push_back(MakeNote("pieces_joined", "",
+                             std::to_string(solution.join_count) + " pieces that share no frame were joined by what they show", v1::INFO));
   }
   if (solution.piece_count < 2) return;
   std::map<int, std::pair<std::uint32_t, std::uint32_t>> span;
@@ -62,7 +66,8 @@ void AddPieces(const v1::SortieManifest& manifest, const align::AlignSolution& s
       text << "; and " << span.size() - 10 << " more";
       break;
     }
-    text << (listed == 1 ? ": " : "; ") << piece << ": " << FrameName(manifest, frames.first) << " to " << FrameName(manifest, frames.second);
+    text << (listed == 1 ? ": " : "; ") << piece << ": " << FrameName(manifest, frames.first) << " to "
+         << FrameName(manifest, frames.second);
   }
   text << (solution.georeferenced ? ". Telemetry alone relates them" : ". Their relative placement, side by side, is arbitrary");
   notes.push_back(MakeNote("pieces", "", text.str(), v1::WARNING));
@@ -71,20 +76,23 @@ void AddPieces(const v1::SortieManifest& manifest, const align::AlignSolution& s
 void AddOutliers(const v1::SortieManifest& manifest, const align::AlignSolution& solution, std::vector<v1::Note>& notes) {
   if (solution.outlier_ties.empty()) return;
   std::vector<align::OutlierTie> worst = solution.outlier_ties;
-  std::stable_sort(worst.begin(), worst.end(), [](const align::OutlierTie& a, const align::OutlierTie& b) { return a.error_px > b.error_px; });
+  std::stable_sort(worst.begin(), worst.end(),
+                   [](const align::OutlierTie& a, const align::OutlierTie& b) { return a.error_px > b.error_px; });
   std::ostringstream text;
   text << worst.size() << " of the views contradict the others and were down-weighted; the worst:";
   for (std::size_t k = 0; k < std::min<std::size_t>(10, worst.size()); ++k) {
-    text << (k == 0 ? " " : ", ") << "frame " << FrameName(manifest, worst[k].frame) << " in window " << worst[k].window_id << " (scene " << worst[k].scene_id
-         << ", " << Rounded(worst[k].error_px, 2) << " px)";
+    text << (k == 0 ? " " : ", ") << "frame " << FrameName(manifest, worst[k].frame) << " in window " << worst[k].window_id << " (scene "
+         << worst[k].scene_id << ", " << Rounded(worst[k].error_px, 2) << " px)";
   }
   notes.push_back(MakeNote("outlier_ties", "", text.str(), v1::INFO));
 }
 
-void AddLeftOutScenes(const std::vector<align::AlignedScene>& scenes, const std::string& code, const std::string& why, std::vector<v1::Note>& notes) {
+void AddLeftOutScenes(const std::vector<align::AlignedScene>& scenes, const std::string& code, const std::string& why,
+                      std::vector<v1::Note>& notes) {
   if (scenes.empty()) return;
   std::ostringstream text;
-  text << scenes.size() << (scenes.size() == 1 ? " enhanced scene is" : " enhanced scenes are") << " left out of the mosaic: " << why << ":";
+  text << scenes.size() << (scenes.size() == 1 ? " enhanced scene is" : " enhanced scenes are") << " left out of the mosaic: " << why
+       << ":";
   for (std::size_t k = 0; k < std::min<std::size_t>(10, scenes.size()); ++k) {
     text << (k == 0 ? " " : ", ") << "scene " << scenes[k].scene_id << " of window " << scenes[k].window_id;
   }
@@ -106,11 +114,13 @@ FrameCensus CountFrames(const v1::SortieManifest& manifest, const std::vector<v1
   FrameCensus census;
   census.registered = static_cast<std::uint32_t>(registered.size());
   for (const auto& [frame, counts] : reasons) {
-    const bool usable = frame < static_cast<std::uint32_t>(manifest.frames_size()) && manifest.frames(static_cast<int>(frame)).state() == v1::FRAME_USABLE;
+    const bool usable =
+        frame < static_cast<std::uint32_t>(manifest.frames_size()) && manifest.frames(static_cast<int>(frame)).state() == v1::FRAME_USABLE;
     if (registered.count(frame) > 0) {
       for (const auto& [reason, count] : counts) census.lost_in_part[reason] += count;
     } else if (usable) {
-      census.lost[frame] = std::max_element(counts.begin(), counts.end(), [](const auto& a, const auto& b) { return a.second < b.second; })->first;
+      census.lost[frame] =
+          std::max_element(counts.begin(), counts.end(), [](const auto& a, const auto& b) { return a.second < b.second; })->first;
     }
   }
   return census;
@@ -127,19 +137,21 @@ std::string NothingEnhancedText(const FrameCensus& census) {
     separator = "; ";
   }
   if (!counts.empty()) text << ")";
-  text << ". Look at the frames with trem inspect; try a larger windows.roi_px for fast motion, or fewer, sharper frames (source.first_frame, "
+  text << ". Look at the frames with trem inspect; try a larger windows.roi_px for fast motion, or fewer, sharper frames "
+          "(source.first_frame, "
           "source.max_frames)";
   return text.str();
 }
 
-std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const FrameCensus& census, const AlignTaskInput& input,
-                                 const align::AlignSolution& solution) {
+std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const FrameCensus& census,
+                                 const AlignTaskInput& input, const align::AlignSolution& solution) {
   std::vector<v1::Note> notes = input.notes;
   AddLostFrames(manifest, census, notes);
   AddPieces(manifest, solution, notes);
   AddOutliers(manifest, solution, notes);
   AddLeftOutScenes(solution.unplaced_scenes, "scenes_without_place", "nothing connects them to a frame with telemetry", notes);
-  AddLeftOutScenes(solution.insane_scenes, "scenes_not_credible", "their scale is off by more than 8 times in area, or they reach the horizon", notes);
+  AddLeftOutScenes(solution.insane_scenes, "scenes_not_credible",
+                   "their scale is off by more than 8 times in area, or they reach the horizon", notes);
   if (!solution.horizon_frames.empty()) {
     notes.push_back(MakeNote("horizon", "frame " + FrameName(manifest, solution.horizon_frames.front()),
                              "by their telemetry " + std::to_string(solution.horizon_frames.size()) +
@@ -150,16 +162,20 @@ std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManif
     notes.push_back(MakeNote("georeferenced", "", "placed by telemetry; gauge: " + solution.gauge, v1::INFO));
   } else {
     notes.push_back(MakeNote("local_coordinates", "",
-                             "the mosaic is not georeferenced: " + std::string(input.telemetry ? "no registered frame has telemetry" : "there is no usable telemetry") +
+                             "the mosaic is not georeferenced: " +
+                                 std::string(input.telemetry ? "no registered frame has telemetry" : "there is no usable telemetry") +
                                  (sortie.mosaic().crs().empty() ? "" : ", so mosaic.crs was not used") + ". Gauge: " + solution.gauge,
                              v1::WARNING));
   }
   std::ostringstream fit;
-  fit << solution.scenes.size() << " scenes and " << solution.frames.size() << " frames (" << solution.used_frame_count << " as unknowns); ties fit to "
-      << Rounded(solution.tie_rms_px, 3) << " px (variance factor " << Rounded(solution.variance_factor, 2) << "), " << solution.content_tie_count
-      << " pairs of scenes tied by content (" << solution.content_outlier_count << " of " << solution.content_point_count << " points rejected)";
+  fit << solution.scenes.size() << " scenes and " << solution.frames.size() << " frames (" << solution.used_frame_count
+      << " as unknowns); ties fit to " << Rounded(solution.tie_rms_px, 3) << " px (variance factor " << Rounded(solution.variance_factor, 2)
+      << "), " << solution.content_tie_count << " pairs of scenes tied by content (" << solution.content_outlier_count << " of "
+      << solution.content_point_count << " points rejected)";
   notes.push_back(MakeNote("alignment", "", fit.str(), v1::INFO));
-  std::sort(notes.begin(), notes.end(), [](const v1::Note& a, const v1::Note& b) { return std::tie(a.code(), a.subject(), a.message()) < std::tie(b.code(), b.subject(), b.message()); });
+  std::sort(notes.begin(), notes.end(), [](const v1::Note& a, const v1::Note& b) {
+    return std::tie(a.code(), a.subject(), a.message()) < std::tie(b.code(), b.subject(), b.message());
+  });
   return notes;
 }
 

@@ -24,7 +24,7 @@ FrameCensus CountFrames(const v1::SortieManifest& manifest, const std::vector<v1
 std::string NothingEnhancedText(const FrameCensus& census);
 
 // Everything a user should know of the alignment, sorted by code and subject.
-std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const FrameCensus& census, const AlignTaskInput& input,
-                                 const align::AlignSolution& solution);
+std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManifest& manifest, const FrameCensus& census,
+                                 const AlignTaskInput& input, const align::AlignSolution& solution);
 
 }  // namespace trem

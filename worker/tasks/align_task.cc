@@ -20,14 +20,16 @@ namespace {
 // Cells of one scene raster read for its features: 128 MiB.
 constexpr long long kSceneCellsMax = 1LL << 24;
 
-Status ReadInputs(const v1::TaskSpec& spec, const TaskContext& context, v1::SortieManifest* manifest, std::vector<v1::WindowResult>* windows) {
+Status ReadInputs(const v1::TaskSpec& spec, const TaskContext& context, v1::SortieManifest* manifest,
+                  std::vector<v1::WindowResult>* windows) {
   TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, manifest));
   for (const v1::ArtefactRef& ref : InputsNamed(spec, "window.pb")) {
     if (!context.progress(0.0)) return Cancelled("the alignment was stopped on request");
     TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, ref, &windows->emplace_back()));
   }
-  std::sort(windows->begin(), windows->end(), [](const v1::WindowResult& a, const v1::WindowResult& b) { return a.window_id() < b.window_id(); });
+  std::sort(windows->begin(), windows->end(),
+            [](const v1::WindowResult& a, const v1::WindowResult& b) { return a.window_id() < b.window_id(); });
   return {};
 }
 
@@ -41,13 +43,15 @@ align::FeatureSource FeaturesFromStore(const ArtefactStore& store, const AlignTa
     const Roi& roi = node.scene.roi_in_scene;
     if (raster.intensity.width() != roi.width() || raster.intensity.height() != roi.height()) {
       return Corrupt("scene " + std::to_string(node.scene.scene_id) + " of window " + std::to_string(node.window_id) + " is a raster of " +
-                     std::to_string(raster.intensity.width()) + " x " + std::to_string(raster.intensity.height()) + " cells; expected " + ToString(roi));
+                     std::to_string(raster.intensity.width()) + " x " + std::to_string(raster.intensity.height()) + " cells; expected " +
+                     ToString(roi));
     }
     return align::ExtractFeatures(raster.intensity, raster.information, roi, graph.input.ratio, {});
   };
 }
 
-Result<MosaicGrid> GridOf(const v1::Sortie& sortie, const AlignTaskInput& input, const align::AlignSolution& solution, const Homography& map_from_world) {
+Result<MosaicGrid> GridOf(const v1::Sortie& sortie, const AlignTaskInput& input, const align::AlignSolution& solution,
+                          const Homography& map_from_world) {
   std::vector<align::SceneFootprint> footprints;
   for (const align::AlignedScene& scene : solution.scenes) {
     align::SceneFootprint footprint{scene.window_id, scene.scene_id, align::RoiCorners(scene.roi_in_scene)};

@@ -24,7 +24,8 @@ AlignSolution MustAlign(const AlignInput& input, const AlignOptions& options = {
 }
 
 // Displacements of scene corners, in sensor pixels: estimate minus truth, the truth mapped by `estimate_from_truth`.
-std::vector<Eigen::Vector2d> ErrorsPx(const SyntheticSortie& sortie, const AlignSolution& solution, const Homography& estimate_from_truth, double gsd) {
+std::vector<Eigen::Vector2d> ErrorsPx(const SyntheticSortie& sortie, const AlignSolution& solution, const Homography& estimate_from_truth,
+                                      double gsd) {
   std::vector<Eigen::Vector2d> errors;
   for (const AlignedScene& scene : solution.scenes) {
     const Homography truth = estimate_from_truth * sortie.world_from_scene[scene.window_id];
@@ -182,7 +183,8 @@ TEST(Align, UsesGroundCornersInsteadOfPoses) {
   SyntheticSortie sortie = MakeSortie({});
   for (FrameAnchor& anchor : sortie.input.anchors) {
     const Homography& map = sortie.world_from_sensor[anchor.frame];
-    anchor.corners = {map * Eigen::Vector2d(-0.5, -0.5), map * Eigen::Vector2d(255.5, -0.5), map * Eigen::Vector2d(255.5, 199.5), map * Eigen::Vector2d(-0.5, 199.5)};
+    anchor.corners = {map * Eigen::Vector2d(-0.5, -0.5), map * Eigen::Vector2d(255.5, -0.5), map * Eigen::Vector2d(255.5, 199.5),
+                      map * Eigen::Vector2d(-0.5, 199.5)};
     anchor.pose.reset();
   }
   const auto errors = ErrorsPx(sortie, MustAlign(sortie.input), {}, sortie.gsd_m);
@@ -219,7 +221,8 @@ TEST(Align, GivesTheSameBitsOnEveryRunAndForAnyOrderOfWindows) {
   const SyntheticSortie sortie = MakeSortie(options);
   AlignInput shuffled = sortie.input;
   Rng rng({99});
-  for (std::size_t i = shuffled.segments.size(); i > 1; --i) std::swap(shuffled.segments[i - 1], shuffled.segments[rng.UniformIndex(static_cast<std::uint32_t>(i))]);
+  for (std::size_t i = shuffled.segments.size(); i > 1; --i)
+    std::swap(shuffled.segments[i - 1], shuffled.segments[rng.UniformIndex(static_cast<std::uint32_t>(i))]);
   std::reverse(shuffled.anchors.begin(), shuffled.anchors.end());
   const AlignSolution first = MustAlign(sortie.input);
   for (const AlignInput& input : {sortie.input, shuffled}) {
@@ -230,7 +233,8 @@ TEST(Align, GivesTheSameBitsOnEveryRunAndForAnyOrderOfWindows) {
       EXPECT_EQ(again.scenes[s].position_sigma, first.scenes[s].position_sigma);
       EXPECT_EQ(again.scenes[s].balanced_from_scene.gain, first.scenes[s].balanced_from_scene.gain);
     }
-    for (std::size_t f = 0; f < first.frames.size(); ++f) EXPECT_EQ(again.frames[f].world_from_sensor.matrix, first.frames[f].world_from_sensor.matrix);
+    for (std::size_t f = 0; f < first.frames.size(); ++f)
+      EXPECT_EQ(again.frames[f].world_from_sensor.matrix, first.frames[f].world_from_sensor.matrix);
   }
 }
 
@@ -273,7 +277,8 @@ TEST(Align, BalancesGainsAndOffsetsUpToOneCommonPair) {
   std::vector<double> dark, bright;
   for (const AlignedScene& scene : solution.scenes) {
     const auto at = [&](double ground) {
-      return scene.balanced_from_scene.gain * (sortie.scene_gain[scene.window_id] * ground + sortie.scene_offset[scene.window_id]) + scene.balanced_from_scene.offset;
+      return scene.balanced_from_scene.gain * (sortie.scene_gain[scene.window_id] * ground + sortie.scene_offset[scene.window_id]) +
+             scene.balanced_from_scene.offset;
     };
     dark.push_back(at(64.0));
     bright.push_back(at(192.0));

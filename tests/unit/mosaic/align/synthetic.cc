@@ -27,7 +27,8 @@ CameraPose TruePose(const SyntheticOptions& options, int t, double leg_spacing_m
   const double step = options.leg_frames > 0 && leg % 2 == 1 ? options.leg_frames - 1 - along : along;
   CameraPose pose;
   const double stand_off_m = kAltitudeM / std::tan(-options.pitch_deg * kRad);
-  pose.position_m = {step * options.speed_m + 0.1 * rng.Normal(), leg * leg_spacing_m - stand_off_m + 0.1 * rng.Normal(), kAltitudeM + 0.1 * rng.Normal()};
+  pose.position_m = {step * options.speed_m + 0.1 * rng.Normal(), leg * leg_spacing_m - stand_off_m + 0.1 * rng.Normal(),
+                     kAltitudeM + 0.1 * rng.Normal()};
   pose.yaw_rad = options.roll_jitter_deg * kRad * rng.Normal();
   pose.pitch_rad = options.pitch_deg * kRad + options.roll_jitter_deg * kRad * rng.Normal();
   pose.roll_rad = options.roll_jitter_deg * kRad * rng.Normal();
@@ -49,8 +50,8 @@ void AddAnchors(const SyntheticOptions& options, const std::vector<CameraPose>& 
 }
 
 // The views of frames [begin, end) of one ROI, and the scenes emitted on the way.
-Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sortie, const Homography& world_from_scene, const Roi& roi, int begin, int end,
-                    double gain, double offset, Rng& rng) {
+Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sortie, const Homography& world_from_scene, const Roi& roi,
+                    int begin, int end, double gain, double offset, Rng& rng) {
   Segment segment;
   segment.roi_in_sensor = roi;
   const auto corners = RoiCorners(roi);
@@ -79,14 +80,16 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
     scene.scene_id = static_cast<std::uint32_t>(id);
     scene.frame_begin = static_cast<std::uint32_t>(t);
     scene.frame_end = static_cast<std::uint32_t>(std::min(end, t + kEmitEvery));
-    const Affine& middle = segment.chain[static_cast<std::size_t>((scene.frame_begin + scene.frame_end) / 2 - static_cast<std::uint32_t>(begin))].scene_from_sensor;
+    const Affine& middle =
+        segment.chain[static_cast<std::size_t>((scene.frame_begin + scene.frame_end) / 2 - static_cast<std::uint32_t>(begin))]
+            .scene_from_sensor;
     Eigen::Vector2d low = middle * corners[0], high = low;
     for (const Eigen::Vector2d& u : corners) {
       low = low.cwiseMin(middle * u);
       high = high.cwiseMax(middle * u);
     }
-    scene.roi_in_scene = {static_cast<int>(std::floor(low.x())), static_cast<int>(std::floor(low.y())), static_cast<int>(std::ceil(high.x())) + 1,
-                          static_cast<int>(std::ceil(high.y())) + 1};
+    scene.roi_in_scene = {static_cast<int>(std::floor(low.x())), static_cast<int>(std::floor(low.y())),
+                          static_cast<int>(std::ceil(high.x())) + 1, static_cast<int>(std::ceil(high.y())) + 1};
     segment.scenes.push_back(scene);
   }
   return segment;
@@ -127,7 +130,8 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
         sensor_from_scene.matrix << 1.0 / 3.0, 0.0, roi.x0, 0.0, 1.0 / 3.0, roi.y0, 0.0, 0.0, 1.0;
         const auto first = static_cast<std::size_t>(begin);
         const Homography world_from_scene = sortie.world_from_sensor[first] * sensor_from_scene;
-        Segment segment = MakeSegment(options, sortie, world_from_scene, roi, begin, end, sortie.frame_gain[first], sortie.frame_offset[first], rng);
+        Segment segment =
+            MakeSegment(options, sortie, world_from_scene, roi, begin, end, sortie.frame_gain[first], sortie.frame_offset[first], rng);
         segment.window_id = window_id++;
         input.segments.push_back(std::move(segment));
         sortie.world_from_scene.push_back(world_from_scene);

@@ -13,23 +13,23 @@ struct SyntheticOptions {
   int frame_count = 40;
   double pitch_deg = -90.0;
   double roll_jitter_deg = 0.2;
-  double speed_m = 2.0;               // A frame.
-  int leg_frames = 0;                 // > 0: lawnmower legs of that many frames, each half a footprint beside the last.
-  double view_sigma_px = 0.02;        // Noise of each chain view's three corners.
+  double speed_m = 2.0;         // A frame.
+  int leg_frames = 0;           // > 0: lawnmower legs of that many frames, each half a footprint beside the last.
+  double view_sigma_px = 0.02;  // Noise of each chain view's three corners.
   // Telemetry's errors.
-  double position_bias_m = 0.0;       // Sigma of the shared error.
+  double position_bias_m = 0.0;  // Sigma of the shared error.
   double position_white_m = 0.0;
   double attitude_bias_deg = 0.0;
   double attitude_white_deg = 0.0;
   bool telemetry = true;
-  int gap_after_frame = -1;           // No window straddles this frame: a gap.
-  double gain_sigma = 0.0;            // Log gain of frames; scenes take the gain of their segment's first frame.
+  int gap_after_frame = -1;  // No window straddles this frame: a gap.
+  double gain_sigma = 0.0;   // Log gain of frames; scenes take the gain of their segment's first frame.
   double offset_sigma = 0.0;
 };
 
 struct SyntheticSortie {
   AlignInput input;
-  std::vector<Homography> world_from_sensor;   // Truth, by frame.
+  std::vector<Homography> world_from_sensor;     // Truth, by frame.
   std::vector<double> frame_gain, frame_offset;  // frame = gain * ground + offset.
   // Truth, parallel to input.segments.
   std::vector<Homography> world_from_scene;

@@ -26,7 +26,8 @@ const Eigen::Vector2d kOrigin(703000.0, 5635000.0);  // 2.9 degrees east of zone
 class AlignTask : public ::testing::Test {
  protected:
   void SetUp() override {
-    root_ = std::filesystem::path(::testing::TempDir()) / ("align_task_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
+    root_ = std::filesystem::path(::testing::TempDir()) /
+            ("align_task_" + std::string(::testing::UnitTest::GetInstance()->current_test_info()->name()));
     std::filesystem::remove_all(root_);
     Result<ArtefactStore> store = ArtefactStore::Open(root_);
     ASSERT_TRUE(store.ok());
