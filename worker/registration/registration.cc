@@ -1,0 +1,85 @@
+#include "worker/registration/registration.h"
+
+#include <cstdio>
+
+#include "worker/registration/hints_registration.h"
+
+namespace trem {
+namespace {
+
+constexpr double kOverlapMin = 0.25;
+constexpr double kCorrelationMin = 0.6;
+// Residuals this many times the noise are explained by noise and a little model error.
+constexpr double kNoiseExplains = 1.6;
+
+std::string Doubt(const Registration& registration, const Observation& observation, double motion_px_max) {
+  char text[160];
+  if (registration.overlap < kOverlapMin) {
+    std::snprintf(text, sizeof text, "overlaps the scene by %.0f %% only; at least %.0f %% needed", 100.0 * registration.overlap, 100.0 * kOverlapMin);
+    return text;
+  }
+  if (registration.correlation < kCorrelationMin && registration.residual_rms > kNoiseExplains * observation.noise_sigma) {
+    std::snprintf(text, sizeof text, "does not match the scene: correlation %.2f (at least %.2f needed), residual %.1f grey levels at noise %.1f",
+                  registration.correlation, kCorrelationMin, registration.residual_rms, observation.noise_sigma);
+    return text;
+  }
+  if (registration.motion_from_prior_px > motion_px_max) {
+    std::snprintf(text, sizeof text, "would have moved %.1f px from where the whole images put it; at most %.1f px believed",
+                  registration.motion_from_prior_px, motion_px_max);
+    return text;
+  }
+  if (!(registration.view.gain > 0.1 && registration.view.gain < 10.0)) {
+    std::snprintf(text, sizeof text, "would need a gain of %.2f against the scene; expected 0.1 .. 10", registration.view.gain);
+    return text;
+  }
+  return {};
+}
+
+JudgedRegistration Judge(Registration registration, const Observation& observation, const RegistrationRequest& request) {
+  JudgedRegistration judged{std::move(registration), {}};
+  judged.doubt = Doubt(judged.registration, observation, request.motion_px_max);
+  return judged;
+}
+
+// Gauss-Newton over `levels` reduced levels, started at `start` but believing the same prior.
+JudgedRegistration TryFrom(const View& start, int levels, const Observation& observation, const Reference& reference,
+                           const RegistrationRequest& request) {
+  GaussNewtonOptions options;
+  options.pyramid_levels = levels;
+  return Judge(RegisterGaussNewton(observation, reference, request.prior, start, options), observation, request);
+}
+
+JudgedRegistration GaussNewtonWithPyramids(const Observation& observation, const Reference& reference, const RegistrationRequest& request) {
+  JudgedRegistration best = TryFrom(request.prior.mean, 0, observation, reference, request);
+  if (best.doubt.empty()) return best;
+  std::vector<View> starts{request.prior.mean};
+  starts.insert(starts.end(), request.candidates.begin(), request.candidates.end());
+  for (const View& start : starts) {
+    JudgedRegistration next = TryFrom(start, 3, observation, reference, request);
+    if (next.doubt.empty()) return next;
+    if (next.registration.correlation > best.registration.correlation) best = std::move(next);
+  }
+  return best;
+}
+
+}  // namespace
+
+JudgedRegistration Register(const Observation& observation, const Reference& reference, const RegistrationRequest& request) {
+  switch (request.method) {
+    case RegistrationMethod::kHints:
+      return Judge(RegisterHints(observation, reference, request.prior, HintsUse::kFull, request.stream), observation, request);
+    case RegistrationMethod::kHintsThenGaussNewton: {
+      const Registration captured = RegisterHints(observation, reference, request.prior, HintsUse::kCapture, request.stream);
+      return TryFrom(captured.view, 0, observation, reference, request);
+    }
+    case RegistrationMethod::kGaussNewton: return GaussNewtonWithPyramids(observation, reference, request);
+    case RegistrationMethod::kAuto: break;
+  }
+  JudgedRegistration judged = GaussNewtonWithPyramids(observation, reference, request);
+  if (judged.doubt.empty()) return judged;
+  const Registration captured = RegisterHints(observation, reference, request.prior, HintsUse::kCapture, request.stream);
+  JudgedRegistration second = TryFrom(captured.view, 2, observation, reference, request);
+  return second.doubt.empty() ? second : judged;
+}
+
+}  // namespace trem

@@ -1,0 +1,116 @@
+#include "worker/tre/information_update.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "worker/sensor/bicubic.h"
+
+namespace trem {
+namespace {
+
+void FitSize(const Image<float>& like, Image<float>* image) {
+  if (image->width() != like.width() || image->height() != like.height()) *image = Image<float>(like.width(), like.height());
+}
+
+}  // namespace
+
+void InformationUpdate::AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const {
+  if (options_.forgetting < 1.0) {
+    const Roi inner = buffer->InBuffer(region);
+    const float factor = static_cast<float>(options_.forgetting);
+    for (int y = inner.y0; y < inner.y1; ++y) {
+      for (int x = inner.x0; x < inner.x1; ++x) {
+        buffer->weight.at(x, y) *= factor;
+        buffer->weighted.at(x, y) *= factor;
+      }
+    }
+  }
+  const Roi& roi = observation.roi;
+  const float gain = static_cast<float>(view.gain);
+  const float offset = static_cast<float>(view.offset);
+  const float limit = static_cast<float>(options_.huber_sigmas * observation.noise_sigma);
+  for (int v = 0; v < roi.height(); ++v) {
+    const float* pixels = observation.roi_pixels->row(v);
+    for (int u = 0; u < roi.width(); ++u) {
+      if (std::isnan(pixels[u])) continue;
+      const Eigen::Vector2d scene = view.scene_from_sensor * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);
+      const double x = scene.x() - buffer->extent.x0;
+      const double y = scene.y() - buffer->extent.y0;
+      if (!CubicSupported(buffer->prediction, x, y)) continue;
+      const int cx = static_cast<int>(x + 0.5);
+      const int cy = static_cast<int>(y + 0.5);
+      const float predicted = SampleCubic(buffer->prediction, x, y);
+      const float value = (pixels[u] - offset) / gain;
+      const float residual = gain * (value - predicted);
+      // The first look at a cell has nothing to be an outlier of.
+      const bool known = buffer->seen.at(cx, cy) >= 1.5F;
+      const float robust = known && std::abs(residual) > limit ? limit / std::abs(residual) : 1.0F;
+      const float weight = robust * gain * gain;
+      // Residual correction: the sample is carried from where it was taken to the cell's centre along the model's own slope.
+      buffer->weight.at(cx, cy) += weight;
+      buffer->weighted.at(cx, cy) += weight * (value - predicted + buffer->prediction.at(cx, cy));
+    }
+  }
+}
+
+void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
+  const Roi inner = buffer->InBuffer(region);
+  blur_.Apply(buffer->weight, inner, &buffer->seen);
+  const float scale = static_cast<float>(ratio * ratio);
+  for (int y = inner.y0; y < inner.y1; ++y) {
+    float* seen = buffer->seen.row(y);
+    for (int x = inner.x0; x < inner.x1; ++x) seen[x] *= scale;
+  }
+}
+
+void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
+  blur_.Apply(buffer->scene, buffer->InBuffer(region), &buffer->prediction);
+}
+
+void InformationUpdate::Iterate(const Roi& region, int iterations, int ratio, float lambda, SceneBuffer* buffer) {
+  const Roi inner = buffer->InBuffer(region);
+  if (inner.empty()) return;
+  FitSize(buffer->scene, &extrapolated_);
+  FitSize(buffer->scene, &residual_);
+  FitSize(buffer->scene, &gradient_);
+  // B of the extrapolated scene near the region's border reads cells beyond it; they are the unmoved scene.
+  const int radius = blur_.psf().radius();
+  const Roi context = Intersect({inner.x0 - radius, inner.y0 - radius, inner.x1 + radius, inner.y1 + radius},
+                                {0, 0, buffer->scene.width(), buffer->scene.height()});
+  const float curvature = lambda * StructurePrior::kCurvatureMax;
+  const float inverse_ratio2 = 1.0F / static_cast<float>(ratio * ratio);
+  for (int iteration = 0; iteration < iterations; ++iteration, ++steps_) {
+    const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
+    for (int y = context.y0; y < context.y1; ++y) {
+      const float* now = buffer->scene.row(y);
+      const float* before = buffer->previous.row(y);
+      float* out = extrapolated_.row(y);
+      std::copy(now + context.x0, now + context.x1, out + context.x0);
+      if (y < inner.y0 || y >= inner.y1) continue;
+      for (int x = inner.x0; x < inner.x1; ++x) out[x] += momentum * (now[x] - before[x]);
+    }
+    blur_.Apply(extrapolated_, context, &residual_);
+    for (int y = context.y0; y < context.y1; ++y) {
+      const float* w = buffer->weight.row(y);
+      const float* z = buffer->weighted.row(y);
+      float* r = residual_.row(y);
+      for (int x = context.x0; x < context.x1; ++x) r[x] = w[x] * r[x] - z[x];
+    }
+    blur_.Apply(residual_, inner, &gradient_);
+    options_.prior.AddGradient(extrapolated_, inner, lambda, &gradient_);
+    for (int y = inner.y0; y < inner.y1; ++y) {
+      const float* g = gradient_.row(y);
+      const float* seen = buffer->seen.row(y);
+      const float* start = extrapolated_.row(y);
+      float* now = buffer->scene.row(y);
+      float* before = buffer->previous.row(y);
+      for (int x = inner.x0; x < inner.x1; ++x) {
+        before[x] = now[x];
+        now[x] = start[x] - g[x] / (seen[x] * inverse_ratio2 + curvature + 1e-6F);
+      }
+    }
+  }
+  Predict(region, buffer);
+}
+
+}  // namespace trem

@@ -1,0 +1,50 @@
+#pragma once
+
+#include "worker/registration/target.h"
+#include "worker/registration/view.h"
+#include "worker/sensor/blur.h"
+#include "worker/tre/scene_buffer.h"
+#include "worker/tre/structure_prior.h"
+
+namespace trem {
+
+struct InformationOptions {
+  StructurePrior prior;
+  double forgetting = 1.0;     // Factor on W and Z per frame, (0, 1].
+  double huber_sigmas = 3.0;   // Samples further than this from the prediction lose weight.
+  double momentum_max = 0.9;
+};
+
+// The information-form update: per cell accumulate W (weights) and Z (weighted, residual-corrected samples), and improve the scene by a
+// few accelerated steps on
+//
+//   1/2 sum_c W_c ((B S)_c - Z_c / W_c)^2  +  lambda * sum psi(grad S)
+//
+// Memory and time do not grow with the number of frames. The step is the separable quadratic surrogate's (diagonal majoriser
+// B W + 8 lambda, valid because B is non-negative, symmetric and sums to 1), so it needs no tuning and well and badly seen cells
+// converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
+class InformationUpdate {
+ public:
+  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options) {}
+
+  // Splats every pixel of `observation` to its nearest cell of `buffer`. `lambda`-independent. Pixels that are NaN or fall outside the
+  // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
+  void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
+  // Recomputes buffer->seen on `region` (scene plane).
+  void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
+  // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
+  // last AddFrame.
+  void Iterate(const Roi& region, int iterations, int ratio, float lambda, SceneBuffer* buffer);
+  // buffer->prediction = B S on `region`.
+  void Predict(const Roi& region, SceneBuffer* buffer);
+
+ private:
+  Blur blur_;
+  InformationOptions options_;
+  int steps_ = 0;
+  Image<float> extrapolated_;
+  Image<float> residual_;
+  Image<float> gradient_;
+};
+
+}  // namespace trem

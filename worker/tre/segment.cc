@@ -1,0 +1,214 @@
+#include "worker/tre/segment.h"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+#include "worker/sensor/bicubic.h"
+
+namespace trem {
+namespace {
+
+// Iterations: first frame, ordinary frame, before a snapshot.
+constexpr int kFirstIterations = 20;
+constexpr int kFrameIterations = 4;
+constexpr int kSnapshotIterations = 12;
+// The buffer may grow to this multiple of the ROI's footprint before a snapshot is taken: a piece of ground is then in about
+// 1 + 1 / (kGrowth - 1) snapshots.
+constexpr double kGrowth = 1.5;
+// Cells seen by less than this many frames hold mostly invented values: refilled while unseen, left out of snapshots.
+constexpr float kSeenMin = 0.3F;
+// Standard deviation of whole-image motion at a ROI's corner [px]: reduced images, and ground that is not quite a plane.
+constexpr double kMotionSigmaPx = 0.7;
+constexpr double kVelocitySigmaPx = 3.0;
+
+double AutoForgetting(const EngineOptions& options) { return options.forgetting > 0.0 ? options.forgetting : 0.985; }
+
+InformationOptions UpdateOptions(const EngineOptions& options) {
+  InformationOptions update;
+  update.prior.kind = options.structure;
+  update.forgetting = AutoForgetting(options);
+  return update;
+}
+
+Affine NominalView(const Roi& roi, int ratio) {
+  Affine scene_from_sensor;
+  scene_from_sensor.linear *= ratio;
+  scene_from_sensor.offset = -ratio * Eigen::Vector2d(roi.x0, roi.y0);
+  return scene_from_sensor;
+}
+
+// Rounds outwards to multiples of `step`, so that the buffer is reallocated now and then instead of at every frame.
+Roi RoundedOut(const Roi& roi, int step) {
+  const auto down = [step](int x) { return static_cast<int>(std::floor(static_cast<double>(x) / step)) * step; };
+  return {down(roi.x0), down(roi.y0), down(roi.x1 + step - 1), down(roi.y1 + step - 1)};
+}
+
+Roi Union(const Roi& a, const Roi& b) {
+  return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
+}
+
+}  // namespace
+
+Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id)
+    : roi_(roi),
+      options_(options),
+      segment_id_(segment_id),
+      margin_(psf.radius() + 3),
+      update_(Blur(psf), UpdateOptions(options)),
+      buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)) {
+  view_.scene_from_sensor = NominalView(roi, options.ratio);
+}
+
+Roi Segment::Footprint(const Affine& scene_from_sensor) const {
+  Eigen::Vector2d low = Eigen::Vector2d::Constant(1e30);
+  Eigen::Vector2d high = -low;
+  for (const int x : {roi_.x0, roi_.x1 - 1}) {
+    for (const int y : {roi_.y0, roi_.y1 - 1}) {
+      const Eigen::Vector2d cell = scene_from_sensor * Eigen::Vector2d(x, y);
+      low = low.cwiseMin(cell);
+      high = high.cwiseMax(cell);
+    }
+  }
+  return {static_cast<int>(std::floor(low.x())) - margin_, static_cast<int>(std::floor(low.y())) - margin_,
+          static_cast<int>(std::ceil(high.x())) + margin_ + 1, static_cast<int>(std::ceil(high.y())) + margin_ + 1};
+}
+
+void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& region) {
+  const Affine sensor_from_scene = view.scene_from_sensor.Inverse();
+  const Roi inner = buffer_.InBuffer(region);
+  const double x_max = frame.pixels.width() - 2.001;
+  const double y_max = frame.pixels.height() - 2.001;
+  for (int y = inner.y0; y < inner.y1; ++y) {
+    for (int x = inner.x0; x < inner.x1; ++x) {
+      if (buffer_.seen.at(x, y) >= kSeenMin) continue;
+      const Eigen::Vector2d sensor = sensor_from_scene * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);
+      const double u = std::clamp(sensor.x() - roi_.x0, 1.0, x_max);
+      const double v = std::clamp(sensor.y() - roi_.y0, 1.0, y_max);
+      const float sample = SampleCubic(frame.pixels, u, v);
+      if (std::isnan(sample)) continue;
+      const float value = (sample - static_cast<float>(view.offset)) / static_cast<float>(view.gain);
+      buffer_.scene.at(x, y) = value;
+      buffer_.previous.at(x, y) = value;
+    }
+  }
+}
+
+float Segment::Lambda(const Roi& region, double noise_sigma) const {
+  // Proportional to the noise's variance (a MAP weight), and growing slowly with the frames seen: what is left then is model error,
+  // which does not average out.
+  const Roi inner = buffer_.InBuffer(region);
+  double sum = 0.0;
+  long long count = 0;
+  for (int y = inner.y0; y < inner.y1; y += 4) {
+    for (int x = inner.x0; x < inner.x1; x += 4) {
+      sum += buffer_.seen.at(x, y);
+      ++count;
+    }
+  }
+  const double frames = count > 0 ? sum / static_cast<double>(count) : 0.0;
+  return static_cast<float>(options_.structure_weight * 0.02 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
+}
+
+void Segment::Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations) {
+  const Roi region = Footprint(view.scene_from_sensor);
+  FillUnseen(frame, view, region);
+  update_.Predict(region, &buffer_);
+  update_.AddFrame({&frame.pixels, roi_, noise_sigma}, view, region, &buffer_);
+  update_.UpdateSeen(region, options_.ratio, &buffer_);
+  update_.Iterate(region, iterations, options_.ratio, Lambda(region, noise_sigma), &buffer_);
+  ++frame_count_;
+  last_added_ = frame.frame_index;
+}
+
+Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
+  first_unemitted_ = frame.frame_index;
+  Update(frame, view_, noise_sigma, kFirstIterations);
+  Registration registration;
+  registration.view = view_;
+  registration.corner_covariance = CornerMatrix::Identity() * 1e-8;
+  registration.gain_offset_covariance = Eigen::Matrix2d::Identity() * 1e-8;
+  registration.residual_rms = noise_sigma;
+  registration.residual_sigma = noise_sigma;
+  registration.correlation = 1.0;
+  registration.overlap = 1.0;
+  registration.converged = true;
+  return registration;
+}
+
+ViewPrior Segment::Predict(const FrameInput& frame) const {
+  ViewPrior prior;
+  prior.mean = view_;
+  const bool measured = frame.previous_from_current.has_value();
+  const Affine motion = measured ? *frame.previous_from_current : previous_from_current_;
+  prior.mean.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * motion;
+  const double sigma = (measured ? kMotionSigmaPx : kVelocitySigmaPx) * std::sqrt(1.0 + skipped_);
+  // The last view's own uncertainty is part of the prediction's: a ROI without texture must not gain confidence by being predicted.
+  const CornerMatrix covariance = covariance_ + CornerMatrix::Identity() * sigma * sigma;
+  prior.information = covariance.inverse();
+  prior.gain_sigma = 0.1;
+  prior.offset_sigma = 15.0;
+  return prior;
+}
+
+JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) const {
+  RegistrationRequest request;
+  request.prior = Predict(frame);
+  request.method = options_.registration;
+  const bool measured = frame.previous_from_current.has_value();
+  request.motion_px_max = measured ? 6.0 + 2.0 * skipped_ : 0.35 * std::min(roi_.width(), roi_.height());
+  View still = view_;
+  request.candidates.push_back(still);
+  still.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * previous_from_current_;
+  request.candidates.push_back(still);
+  request.stream[0] = options_.seed;
+  request.stream[1] = segment_id_;
+  request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
+  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio};
+  return Register({&frame.pixels, roi_, noise_sigma}, reference, request);
+}
+
+Status Segment::AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit) {
+  const Roi needed = Footprint(registration.view.scene_from_sensor);
+  if (!buffer_.extent.Contains(needed)) {
+    Roi grown = RoundedOut(Union(buffer_.extent, needed), 16);
+    if (grown.width() > kGrowth * needed.width() || grown.height() > kGrowth * needed.height()) {
+      TREM_RETURN_IF_ERROR(EmitSnapshot(noise_sigma, emit));
+      grown = RoundedOut(needed, 16);
+    }
+    buffer_.MoveTo(grown);
+  }
+  previous_from_current_ = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
+  lost_from_current_ = Affine{};
+  skipped_ = 0;
+  view_ = registration.view;
+  covariance_ = registration.corner_covariance;
+  Update(frame, view_, noise_sigma, options_.iterations > 0 ? options_.iterations : kFrameIterations);
+  return {};
+}
+
+void Segment::SkipFrame(const FrameInput& frame) {
+  lost_from_current_ = lost_from_current_ * (frame.previous_from_current ? *frame.previous_from_current : previous_from_current_);
+  ++skipped_;
+}
+
+Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
+  update_.Iterate(buffer_.extent, kSnapshotIterations, options_.ratio, Lambda(buffer_.extent, noise_sigma), &buffer_);
+  SceneSnapshot snapshot;
+  snapshot.extent = buffer_.extent;
+  snapshot.intensity = buffer_.scene;
+  snapshot.information = buffer_.seen;
+  snapshot.frame_begin = first_unemitted_;
+  snapshot.frame_end = last_added_ + 1;
+  for (std::size_t i = 0; i < snapshot.information.pixels().size(); ++i) {
+    if (snapshot.information.pixels()[i] >= kSeenMin) continue;
+    snapshot.information.pixels()[i] = 0.0F;
+    snapshot.intensity.pixels()[i] = 0.0F;
+  }
+  first_unemitted_ = last_added_ + 1;
+  return emit(snapshot);
+}
+
+Status Segment::End(double noise_sigma, const Emit& emit) { return EmitSnapshot(noise_sigma, emit); }
+
+}  // namespace trem

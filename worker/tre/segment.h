@@ -1,0 +1,58 @@
+#pragma once
+
+#include <functional>
+
+#include "worker/tre/mapping_engine.h"
+#include "worker/tre/scene_buffer.h"
+
+namespace trem {
+
+// One scene plane and the frames registered to it. Cell = ratio * (sensor - roi corner) at the first frame, so cell centres lie on
+// sensor pixel centres for every ratio.
+class Segment {
+ public:
+  using Emit = std::function<Status(const SceneSnapshot&)>;
+
+  Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id);
+
+  // The first frame: fills the scene with its bicubic enlargement and improves it. Its view is the gauge: gain 1, offset 0.
+  Registration Begin(const FrameInput& frame, double noise_sigma);
+  // Registers a frame to the scene's prediction; the scene is not changed.
+  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma) const;
+  // Splats a registered frame and improves the scene; emits a snapshot first when the ROI has moved off the buffer.
+  Status AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit);
+  // A frame that was not registered: its motion still counts for where the next one is expected.
+  void SkipFrame(const FrameInput& frame);
+  // Emits the last snapshot.
+  Status End(double noise_sigma, const Emit& emit);
+
+  int frame_count() const { return frame_count_; }
+
+ private:
+  // Cells that the view's ROI covers, with the PSF's radius around them.
+  Roi Footprint(const Affine& scene_from_sensor) const;
+  // Where the next frame is expected: whole-image motion when known, else constant velocity.
+  ViewPrior Predict(const FrameInput& frame) const;
+  // Gives cells of `region` that no frame has seen the bicubic value of this frame (continued at the ROI's border).
+  void FillUnseen(const FrameInput& frame, const View& view, const Roi& region);
+  void Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations);
+  float Lambda(const Roi& region, double noise_sigma) const;
+  Status EmitSnapshot(double noise_sigma, const Emit& emit);
+
+  Roi roi_;
+  EngineOptions options_;
+  std::uint64_t segment_id_;
+  int margin_;
+  InformationUpdate update_;
+  SceneBuffer buffer_;
+  View view_;                    // Of the last registered frame.
+  Affine previous_from_current_; // Last measured motion, in sensor pixels.
+  Affine lost_from_current_;     // Motion of frames skipped since then.
+  CornerMatrix covariance_ = CornerMatrix::Zero();
+  int frame_count_ = 0;
+  int skipped_ = 0;
+  int first_unemitted_ = 0;
+  int last_added_ = 0;
+};
+
+}  // namespace trem
