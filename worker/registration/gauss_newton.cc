@@ -67,7 +67,7 @@ Normal Accumulate(const Observation& observation, const Reference& reference, co
       const double y = LevelFromFull(scene.y() - reference.y0, level.reference_step);
       if (!CubicSupported(*level.prediction, x, y)) continue;
       const float n = level.seen->at(static_cast<int>(x + 0.5), static_cast<int>(y + 0.5));
-      if (!(n > 0.0F)) continue;
+      if (!(n >= reference.seen_min)) continue;
       const double seen = n / (n + 1.0);
       const ValueAndGradient p = SampleCubicGradient(*level.prediction, x, y);
       const double r = intensity - view.gain * p.value - view.offset;

@@ -56,7 +56,7 @@ class PixelTarget : public AdditiveTarget {
       const double cx = (scene.x() - reference_.x0 - 0.5 * (reference_step_ - 1.0)) / reference_step_;
       const double cy = (scene.y() - reference_.y0 - 0.5 * (reference_step_ - 1.0)) / reference_step_;
       double sigmas = 2.0 * kHuberSigmas;
-      if (CubicSupported(prediction_, cx, cy) && seen_.at(static_cast<int>(cx + 0.5), static_cast<int>(cy + 0.5)) > 0.0F) {
+      if (CubicSupported(prediction_, cx, cy) && seen_.at(static_cast<int>(cx + 0.5), static_cast<int>(cy + 0.5)) >= reference_.seen_min) {
         sigmas = std::abs(frame_.at(pixel.u, pixel.v) - view.gain * SampleCubic(prediction_, cx, cy) - view.offset) / sigma_;
       }
       sum -= sigmas <= kHuberSigmas ? 0.5 * sigmas * sigmas : kHuberSigmas * (sigmas - 0.5 * kHuberSigmas);

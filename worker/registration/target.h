@@ -12,6 +12,9 @@ struct Reference {
   int x0 = 0;                                // Scene plane coordinates [cells] of the images' first pixel.
   int y0 = 0;
   int ratio = 3;                             // Cells per sensor pixel.
+  // Cells seen by fewer frames than this are left out: they hold values continued from a ROI's border, or one frame's noise and aliasing
+  // that the prior has not sorted out yet, and registering to them pulls towards no motion.
+  float seen_min = 0.75F;
 };
 
 // What is registered: the ROI of one frame.

@@ -18,6 +18,10 @@ constexpr int kSnapshotIterations = 12;
 constexpr double kGrowth = 1.5;
 // Cells seen by less than this many frames hold mostly invented values: refilled while unseen, left out of snapshots.
 constexpr float kSeenMin = 0.3F;
+// Frames after which a cell is settled enough to register to.
+constexpr float kSettledFrames = 2.5F;
+// Further iterations on ground that came into view with this frame.
+constexpr int kNewGroundIterations = 10;
 // Standard deviation of whole-image motion at a ROI's corner [px]: reduced images, and ground that is not quite a plane.
 constexpr double kMotionSigmaPx = 0.7;
 constexpr double kVelocitySigmaPx = 3.0;
@@ -46,6 +50,17 @@ Roi RoundedOut(const Roi& roi, int step) {
 
 Roi Union(const Roi& a, const Roi& b) {
   return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
+}
+
+// The strips of `now` that `before` did not hold, each at least 24 cells wide so that it holds the PSF's support.
+std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
+  constexpr int kWidthMin = 24;
+  std::vector<Roi> strips;
+  if (now.x0 < before.x0) strips.push_back({now.x0, now.y0, std::min(std::max(before.x0, now.x0 + kWidthMin), now.x1), now.y1});
+  if (now.x1 > before.x1) strips.push_back({std::max(std::min(before.x1, now.x1 - kWidthMin), now.x0), now.y0, now.x1, now.y1});
+  if (now.y0 < before.y0) strips.push_back({now.x0, now.y0, now.x1, std::min(std::max(before.y0, now.y0 + kWidthMin), now.y1)});
+  if (now.y1 > before.y1) strips.push_back({now.x0, std::max(std::min(before.y1, now.y1 - kWidthMin), now.y0), now.x1, now.y1});
+  return strips;
 }
 
 }  // namespace
@@ -107,7 +122,7 @@ float Segment::Lambda(const Roi& region, double noise_sigma) const {
     }
   }
   const double frames = count > 0 ? sum / static_cast<double>(count) : 0.0;
-  return static_cast<float>(options_.structure_weight * 0.02 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
+  return static_cast<float>(options_.structure_weight * 0.025 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
 }
 
 void Segment::Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations) {
@@ -116,7 +131,12 @@ void Segment::Update(const FrameInput& frame, const View& view, double noise_sig
   update_.Predict(region, &buffer_);
   update_.AddFrame({&frame.pixels, roi_, noise_sigma}, view, region, &buffer_);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
-  update_.Iterate(region, iterations, options_.ratio, Lambda(region, noise_sigma), &buffer_);
+  const float lambda = Lambda(region, noise_sigma);
+  if (frame_count_ > 0) {
+    for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, options_.ratio, lambda, &buffer_);
+  }
+  update_.Iterate(region, iterations, options_.ratio, lambda, &buffer_);
+  last_region_ = region;
   ++frame_count_;
   last_added_ = frame.frame_index;
 }
@@ -164,7 +184,8 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.stream[0] = options_.seed;
   request.stream[1] = segment_id_;
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
-  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio};
+  const float seen_min = std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames);
+  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
   return Register({&frame.pixels, roi_, noise_sigma}, reference, request);
 }
 

@@ -49,6 +49,7 @@ class Segment {
   Affine previous_from_current_; // Last measured motion, in sensor pixels.
   Affine lost_from_current_;     // Motion of frames skipped since then.
   CornerMatrix covariance_ = CornerMatrix::Zero();
+  Roi last_region_;              // Footprint of the last frame.
   int frame_count_ = 0;
   int skipped_ = 0;
   int first_unemitted_ = 0;
