@@ -5,6 +5,5 @@
 namespace trem {
 
 Result<v1::TaskResult> RunIngestTask(const v1::TaskSpec&, const TaskContext&) { return Failed("the INGEST task is not in this build"); }
-Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec&, const TaskContext&) { return Failed("the ENHANCE task is not in this build"); }
 
 }  // namespace trem

@@ -1,0 +1,207 @@
+// ENHANCE: one window (ROI x frame range) -> window.pb and one raster per emitted scene.
+#include <cmath>
+#include <opencv2/core.hpp>
+#include <string>
+#include <vector>
+
+#include "mosaic/raster/scene_raster.h"
+#include "proto/codec/convert.h"
+#include "worker/sortie/frame_reader.h"
+#include "worker/tasks/task.h"
+#include "worker/tasks/task_inputs.h"
+#include "worker/tre/mapping_engine.h"
+
+namespace trem {
+namespace {
+
+// Part of a window's progress that reading its frames takes, about.
+constexpr double kReadingPart = 0.2;
+// Least correlation of a whole-image registration that is believed as where a ROI has gone.
+constexpr double kMotionCorrelationMin = 0.3;
+
+const char* ReasonOf(v1::FrameState state) {
+  switch (state) {
+    case v1::FRAME_UNREADABLE: return "could not be read";
+    case v1::FRAME_WRONG_SIZE: return "has another size than the sortie's frames";
+    case v1::FRAME_BLANK: return "is blank";
+    case v1::FRAME_REPEATED: return "repeats the frame before it";
+    default: return "is not usable";
+  }
+}
+
+// The ROI of a frame in internal grey levels.
+Image<float> Crop(const Image<float>& frame, const Roi& roi, double grey_offset, double grey_scale) {
+  Image<float> crop(roi.width(), roi.height());
+  const float offset = static_cast<float>(grey_offset);
+  const float factor = static_cast<float>(1.0 / grey_scale);
+  for (int y = 0; y < roi.height(); ++y) {
+    const float* from = frame.row(roi.y0 + y) + roi.x0;
+    float* to = crop.row(y);
+    for (int x = 0; x < roi.width(); ++x) to[x] = (from[x] - offset) * factor;
+  }
+  return crop;
+}
+
+Status CheckWindow(const v1::EnhanceParams& params, const v1::SortieManifest& manifest) {
+  const Roi roi = FromProto(params.roi_in_sensor());
+  const Roi sensor{0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
+  if (roi.empty() || !sensor.Contains(roi)) {
+    return InvalidInput("ROI " + ToString(roi) + " is not inside the sensor " + ToString(sensor) + "; choose one that is");
+  }
+  if (params.frame_begin() >= params.frame_end() || params.frame_end() > static_cast<std::uint32_t>(manifest.frames_size())) {
+    return InvalidInput("frames [" + std::to_string(params.frame_begin()) + ", " + std::to_string(params.frame_end()) +
+                        ") are not a range of the sortie's " + std::to_string(manifest.frames_size()) + " frames");
+  }
+  if (!(manifest.grey_scale() > 0.0) || !std::isfinite(manifest.grey_offset())) return Corrupt("manifest.grey_scale is not positive");
+  return {};
+}
+
+Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, const v1::SortieManifest& manifest, const TaskContext& context) {
+  const Roi roi = FromProto(params.roi_in_sensor());
+  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest));
+  std::vector<FrameInput> frames;
+  for (std::uint32_t index = params.frame_begin(); index < params.frame_end(); ++index) {
+    const double done = static_cast<double>(index - params.frame_begin()) / (params.frame_end() - params.frame_begin());
+    if (!context.progress(kReadingPart * done)) return Cancelled("asked to stop");
+    const v1::ManifestFrame& record = manifest.frames(static_cast<int>(index));
+    FrameInput frame;
+    frame.frame_index = static_cast<int>(index);
+    if (record.state() != v1::FRAME_USABLE) {
+      frame.skip_reason = ReasonOf(record.state());
+    } else {
+      TREM_ASSIGN_OR_RETURN(const Image<float> whole, reader->Read(static_cast<int>(index)));
+      frame.pixels = Crop(whole, roi, manifest.grey_offset(), manifest.grey_scale());
+    }
+    if (record.previous_from_current_size() > 0 && record.motion_correlation() >= kMotionCorrelationMin) {
+      TREM_ASSIGN_OR_RETURN(frame.previous_from_current, AffineFromProto(record.previous_from_current(), "previous_from_current"));
+    }
+    frames.push_back(std::move(frame));
+  }
+  return frames;
+}
+
+EngineOptions OptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
+  const v1::Sortie& sortie = spec.sortie();
+  EngineOptions options;
+  if (sortie.sensor().psf_sigma_px() > 0.0) options.psf.sigma_px = sortie.sensor().psf_sigma_px();
+  if (sortie.sensor().fill_factor() > 0.0) options.psf.fill_factor = sortie.sensor().fill_factor();
+  if (sortie.tre().ratio() > 0) options.ratio = static_cast<int>(sortie.tre().ratio());
+  switch (sortie.tre().registration()) {
+    case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;
+    case v1::HINTS: options.registration = RegistrationMethod::kHints; break;
+    case v1::HINTS_THEN_GAUSS_NEWTON: options.registration = RegistrationMethod::kHintsThenGaussNewton; break;
+    default: options.registration = RegistrationMethod::kAuto; break;
+  }
+  options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
+  if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
+  options.iterations = static_cast<int>(sortie.tre().iterations());
+  options.forgetting = sortie.tre().forgetting();
+  options.noise_known = sortie.sensor().noise_sigma() > 0.0;
+  // Below half a grey level the quantisation of 8-bit sources dominates.
+  options.noise_sigma = options.noise_known ? sortie.sensor().noise_sigma() / manifest.grey_scale() : std::max(manifest.noise_sigma(), 0.5);
+  options.seed = spec.seed();
+  return options;
+}
+
+void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
+  v1::ChainView* view = segment->add_chain();
+  view->set_frame_index(static_cast<std::uint32_t>(entry.frame_index));
+  const Registration& registration = entry.registration;
+  ToProto(registration.view.scene_from_sensor, view->mutable_scene_from_sensor());
+  for (int row = 0; row < 6; ++row) {
+    for (int column = row; column < 6; ++column) view->add_corner_covariance_px2(registration.corner_covariance(row, column));
+  }
+  view->set_gain(registration.view.gain);
+  view->set_offset(registration.view.offset);
+  view->add_gain_offset_covariance(registration.gain_offset_covariance(0, 0));
+  view->add_gain_offset_covariance(registration.gain_offset_covariance(0, 1));
+  view->add_gain_offset_covariance(registration.gain_offset_covariance(1, 1));
+  view->set_residual_rms(registration.residual_rms);
+  view->set_correlation(registration.correlation);
+  view->set_overlap(registration.overlap);
+}
+
+v1::OutcomeCode CodeOf(FrameReport::Outcome outcome) {
+  switch (outcome) {
+    case FrameReport::Outcome::kRegistered: return v1::REGISTERED;
+    case FrameReport::Outcome::kStartedScene: return v1::STARTED_SCENE;
+    case FrameReport::Outcome::kSkipped: return v1::SKIPPED;
+    case FrameReport::Outcome::kLost: break;
+  }
+  return v1::LOST;
+}
+
+// Writes snapshots as they are made and remembers them per segment.
+class SnapshotWriter {
+ public:
+  explicit SnapshotWriter(const ArtefactStore& store) : store_(store) {}
+
+  Status Write(int segment_id, const SceneSnapshot& snapshot) {
+    const std::filesystem::path path = store_.NewTemporaryPath(".tif");
+    TREM_RETURN_IF_ERROR(WriteSceneRaster(path, snapshot.intensity, snapshot.information));
+    TREM_ASSIGN_OR_RETURN(const ArtefactRef ref, store_.PutFile("scene-" + std::to_string(snapshot.scene_id) + ".tif", path));
+    v1::EmittedScene scene;
+    scene.set_scene_id(static_cast<std::uint32_t>(snapshot.scene_id));
+    *scene.mutable_raster() = ToProto(ref);
+    *scene.mutable_roi_in_scene() = ToProto(snapshot.extent);
+    scene.set_frame_begin(static_cast<std::uint32_t>(snapshot.frame_begin));
+    scene.set_frame_end(static_cast<std::uint32_t>(snapshot.frame_end));
+    scenes_.emplace_back(segment_id, std::move(scene));
+    return {};
+  }
+
+  const std::vector<std::pair<int, v1::EmittedScene>>& scenes() const { return scenes_; }
+
+ private:
+  const ArtefactStore& store_;
+  std::vector<std::pair<int, v1::EmittedScene>> scenes_;
+};
+
+v1::WindowResult MakeWindow(const v1::EnhanceParams& params, const EngineResult& engine, const SnapshotWriter& writer) {
+  v1::WindowResult window;
+  window.set_window_id(params.window_id());
+  *window.mutable_roi_in_sensor() = params.roi_in_sensor();
+  window.set_frame_begin(params.frame_begin());
+  window.set_frame_end(params.frame_end());
+  window.set_noise_sigma(engine.noise_sigma);
+  for (std::size_t i = 0; i < engine.segments.size(); ++i) {
+    v1::Segment* segment = window.add_segments();
+    segment->set_segment_id(static_cast<std::uint32_t>(i));
+    for (const ChainEntry& entry : engine.segments[i].chain) AddChainView(entry, segment);
+    for (const auto& [segment_id, scene] : writer.scenes()) {
+      if (segment_id == static_cast<int>(i)) *segment->add_scenes() = scene;
+    }
+  }
+  for (const FrameReport& report : engine.frames) {
+    v1::FrameOutcome* outcome = window.add_frames();
+    outcome->set_frame_index(static_cast<std::uint32_t>(report.frame_index));
+    outcome->set_outcome(CodeOf(report.outcome));
+    outcome->set_reason(report.reason);
+  }
+  return window;
+}
+
+}  // namespace
+
+Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContext& context) {
+  cv::setNumThreads(1);
+  v1::SortieManifest manifest;
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, &manifest));
+  TREM_RETURN_IF_ERROR(CheckWindow(spec.enhance(), manifest));
+  TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(spec.enhance(), manifest, context));
+
+  SnapshotWriter writer(*context.store);
+  const SnapshotSink sink = [&](int segment_id, const SceneSnapshot& snapshot) { return writer.Write(segment_id, snapshot); };
+  const auto progress = [&](double fraction) { return context.progress(kReadingPart + (1.0 - kReadingPart) * fraction); };
+  Result<EngineResult> engine = RunMapping(FromProto(spec.enhance().roi_in_sensor()), frames, OptionsOf(spec, manifest), sink, progress);
+  if (!engine.ok()) return engine.status().WithPrefix("window " + std::to_string(spec.enhance().window_id()));
+
+  v1::TaskResult result;
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef window_ref, PutProtoArtefact(*context.store, "window.pb", MakeWindow(spec.enhance(), *engine, writer)));
+  *result.add_outputs() = window_ref;
+  for (const auto& [segment_id, scene] : writer.scenes()) *result.add_outputs() = scene.raster();
+  return result;
+}
+
+}  // namespace trem
