@@ -88,6 +88,27 @@ Status NotAnImage(const std::filesystem::path& path, const std::string& detail) 
                       "); expected PNG, TIFF or JPEG");
 }
 
+ImageSize SizeOf(GDALDatasetH dataset) { return {GDALGetRasterXSize(dataset), GDALGetRasterYSize(dataset)}; }
+
+Result<DatasetPtr> OpenDataset(const std::filesystem::path& path, const GdalMessages& messages) {
+  RegisterDrivers();
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) return NotFound(path.string() + ": no such file");
+  const char* const drivers[] = {"PNG", "JPEG", "GTiff", nullptr};
+  // The list of siblings is empty: no .aux.xml, .ovr or world file may change what a frame is.
+  const char* const siblings[] = {nullptr};
+  DatasetPtr dataset(GDALOpenEx(path.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY, drivers, nullptr, siblings));
+  if (dataset == nullptr || GDALGetRasterCount(dataset.get()) < 1) return NotAnImage(path, messages.first());
+  const ImageSize size = SizeOf(dataset.get());
+  if (size.width_px > kImageSideMax_px || size.height_px > kImageSideMax_px ||
+      static_cast<long long>(size.width_px) * size.height_px > kImageAreaMax_px) {
+    return InvalidInput(path.string() + ": is " + std::to_string(size.width_px) + " x " + std::to_string(size.height_px) +
+                        " pixels; expected at most " + std::to_string(kImageSideMax_px) + " a side and " +
+                        std::to_string(kImageAreaMax_px / 1'000'000) + " megapixels");
+  }
+  return dataset;
+}
+
 double GreyMax(GDALDataType type) {
   if (type == GDT_Byte) return 255.0;
   if (type == GDT_UInt16) return 65535.0;
@@ -240,31 +261,25 @@ Result<ImageList> ListImages(const std::string& source_path) {
   return list;
 }
 
-Result<GreyImage> ReadGreyImage(const std::filesystem::path& path) {
-  RegisterDrivers();
-  std::error_code error;
-  if (!std::filesystem::exists(path, error)) return NotFound(path.string() + ": no such file");
+Result<ImageSize> ReadImageSize(const std::filesystem::path& path) {
   const GdalMessages messages;
-  const char* const drivers[] = {"PNG", "JPEG", "GTiff", nullptr};
-  // The list of siblings is empty: no .aux.xml, .ovr or world file may change what a frame is.
-  const char* const siblings[] = {nullptr};
-  const DatasetPtr dataset(GDALOpenEx(path.c_str(), GDAL_OF_RASTER | GDAL_OF_READONLY, drivers, nullptr, siblings));
-  if (dataset == nullptr || GDALGetRasterCount(dataset.get()) < 1) return NotAnImage(path, messages.first());
-  const int width = GDALGetRasterXSize(dataset.get());
-  const int height = GDALGetRasterYSize(dataset.get());
-  if (width > kImageSideMax_px || height > kImageSideMax_px || static_cast<long long>(width) * height > kImageAreaMax_px) {
-    return InvalidInput(path.string() + ": is " + std::to_string(width) + " x " + std::to_string(height) + " pixels; expected at most " +
-                        std::to_string(kImageSideMax_px) + " a side and " + std::to_string(kImageAreaMax_px / 1'000'000) + " megapixels");
-  }
+  TREM_ASSIGN_OR_RETURN(const DatasetPtr dataset, OpenDataset(path, messages));
+  return SizeOf(dataset.get());
+}
+
+Result<GreyImage> ReadGreyImage(const std::filesystem::path& path) {
+  const GdalMessages messages;
+  TREM_ASSIGN_OR_RETURN(const DatasetPtr dataset, OpenDataset(path, messages));
+  const ImageSize size = SizeOf(dataset.get());
   GreyImage image;
-  image.pixels = Image<float>(width, height);
+  image.pixels = Image<float>(size.width_px, size.height_px);
   image.grey_max = GreyMax(GDALGetRasterDataType(GDALGetRasterBand(dataset.get(), 1)));
   const Status status = ReadPixels(dataset.get(), &image.pixels);
   if (!status.ok() || messages.truncated()) {
     return InvalidInput(path.string() + ": the image is damaged or cut short (" + messages.first() + ")");
   }
-  if (image.grey_max == 0.0 &&
-      !std::all_of(image.pixels.pixels().begin(), image.pixels.pixels().end(), [](float v) { return std::isfinite(v); })) {
+  const auto is_finite = [](float value) { return std::isfinite(value); };
+  if (image.grey_max == 0.0 && !std::all_of(image.pixels.pixels().begin(), image.pixels.pixels().end(), is_finite)) {
     return InvalidInput(path.string() + ": holds pixels that are not finite numbers; expected intensities");
   }
   return image;

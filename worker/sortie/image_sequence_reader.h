@@ -32,6 +32,14 @@ Result<ImageList> ListImages(const std::string& source_path);
 // The folder that ListImages(source_path) would report, without looking at its contents.
 std::filesystem::path ImageFolder(const std::string& source_path);
 
+struct ImageSize {
+  int width_px = 0;
+  int height_px = 0;
+};
+
+// What the header says, within the limits of grey_image.h; no pixels are decoded. Same errors as ReadGreyImage.
+Result<ImageSize> ReadImageSize(const std::filesystem::path& path);
+
 // Decodes a PNG, TIFF or JPEG with 8 or 16 bit (TIFF: any number type), grey, palette or colour; transparency is ignored. kInvalidInput
 // when it is not such an image, is damaged, or is larger than the limits of grey_image.h.
 Result<GreyImage> ReadGreyImage(const std::filesystem::path& path);

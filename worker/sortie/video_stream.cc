@@ -62,6 +62,7 @@ Status VideoStream::OpenInput() {
 void VideoStream::ReadFacts() {
   const AVStream& stream = *input_->streams[stream_index_];
   const AVCodecParameters& parameters = *stream.codecpar;
+  facts_.container = input_->iformat->name;
   facts_.codec = avcodec_get_name(parameters.codec_id);
   facts_.width_px = parameters.width;
   facts_.height_px = parameters.height;

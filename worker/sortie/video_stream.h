@@ -12,6 +12,7 @@ namespace trem {
 
 // The facts of a video's first video stream.
 struct VideoFacts {
+  std::string container;  // libavformat's short name, for example "mpegts".
   std::string codec;
   int width_px = 0;
   int height_px = 0;

@@ -1,0 +1,265 @@
+#include "worker/sortie/ingest.h"
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+#include <memory>
+#include <opencv2/core/utility.hpp>
+#include <optional>
+#include <vector>
+
+#include "proto/codec/convert.h"
+#include "worker/sortie/borders.h"
+#include "worker/sortie/frame_motion.h"
+#include "worker/sortie/frame_reader.h"
+#include "worker/sortie/frame_source.h"
+#include "worker/sortie/frame_statistics.h"
+#include "worker/sortie/spans.h"
+#include "worker/sortie/telemetry_match.h"
+
+namespace trem {
+namespace {
+
+// Frames that are looked at for borders before motion is measured (their reduced versions wait).
+constexpr std::size_t kFramesBeforeMotion = 32;
+constexpr double kQuantisationSigma = 0.29;  // Of an integer grey level: 1 / sqrt(12).
+constexpr double kBlankSpan = 2.0;           // Grey levels of an 8-bit source.
+constexpr std::size_t kFingerprintsMax = 16;
+
+double Median(std::vector<double> values) {
+  if (values.empty()) return 0.0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+class Ingest {
+ public:
+  Ingest(const v1::Sortie& sortie, const std::function<bool(double)>& progress) : sortie_(sortie), progress_(progress) {}
+
+  Result<v1::SortieManifest> Run() {
+    // Telemetry first: a bad file should be reported before an hour of decoding.
+    const std::optional<std::string> telemetry_path = FindTelemetryCsv(sortie_);
+    TelemetryTable telemetry;
+    if (telemetry_path.has_value()) {
+      TREM_ASSIGN_OR_RETURN(telemetry, ReadTelemetryCsv(*telemetry_path));
+    }
+    TREM_ASSIGN_OR_RETURN(source_, OpenFrameSource(sortie_));
+    StartManifest();
+    TREM_RETURN_IF_ERROR(ReadFrames());
+    LinkWaitingFrames();
+    FinishPixels();
+    TREM_RETURN_IF_ERROR(CheckSeeking());
+    for (const v1::Note& note : source_->notes()) *manifest_.add_notes() = note;
+    if (telemetry_path.has_value()) {
+      TREM_RETURN_IF_ERROR(AttachTelemetry(telemetry, *telemetry_path, sortie_.telemetry(), &manifest_));
+    } else {
+      manifest_.set_ground_elevation_m(sortie_.telemetry().ground_elevation_m());
+      Note(v1::INFO, "no_telemetry", sortie_.source().path(),
+           sortie_.telemetry().ignore() ? "telemetry is ignored as asked for; the mosaic will be in local coordinates"
+                                        : "no telemetry was found; the mosaic will be in local coordinates");
+    }
+    SplitIntoSpans(&manifest_);
+    return std::move(manifest_);
+  }
+
+ private:
+  void Note(v1::Severity severity, const std::string& code, const std::string& subject, const std::string& message) {
+    *manifest_.add_notes() = MakeNote(severity, code, subject, message);
+  }
+
+  void StartManifest() {
+    manifest_.set_source_path(sortie_.source().path());
+    manifest_.set_source_kind(source_->kind());
+    manifest_.set_width_px(static_cast<std::uint32_t>(source_->width_px()));
+    manifest_.set_height_px(static_cast<std::uint32_t>(source_->height_px()));
+    manifest_.set_deinterlaced(source_->deinterlaced());
+    borders_.emplace(source_->width_px(), source_->height_px());
+  }
+
+  Status ReadFrames() {
+    SourceFrame frame;
+    Status first_problem;
+    while (true) {
+      const int index = manifest_.frames_size();
+      const auto expected = static_cast<double>(source_->expected_count());
+      // Without a known count the fraction only approaches 1.
+      const double fraction = expected > 0.0 ? std::min(1.0, index / expected) : 1.0 - 1.0 / (1.0 + index / 500.0);
+      if (progress_ && !progress_(fraction)) return Cancelled(sortie_.source().path() + ": ingest was stopped");
+      TREM_ASSIGN_OR_RETURN(const bool more, source_->Next(&frame));
+      if (!more) break;
+      v1::ManifestFrame* entry = manifest_.add_frames();
+      entry->set_name(frame.name);
+      entry->set_pts(frame.pts);
+      entry->set_time_s(frame.time_s);
+      entry->set_state(Judge(frame));
+      if (!frame.image.ok() && first_problem.ok()) first_problem = frame.image.status();
+      if (entry->state() == v1::FRAME_USABLE) Measure(index, frame.image->pixels);
+    }
+    if (usable_count_ > 0) return {};
+    if (!first_problem.ok()) return first_problem.WithPrefix(sortie_.source().path() + ": no frame is usable; the first problem");
+    return InvalidInput(sortie_.source().path() + ": no frame is usable: all " + std::to_string(manifest_.frames_size()) +
+                        " are blank; expected pictures");
+  }
+
+  v1::FrameState Judge(const SourceFrame& frame) {
+    const std::string subject = "frame " + std::to_string(manifest_.frames_size() - 1);
+    if (!frame.image.ok()) {
+      Note(v1::WARNING, "frame_unreadable", frame.name, subject + ", " + frame.image.status().message());
+      return v1::FRAME_UNREADABLE;
+    }
+    const GreyImage& image = *frame.image;
+    if (image.pixels.width() != source_->width_px() || image.pixels.height() != source_->height_px()) {
+      Note(v1::WARNING, "frame_wrong_size", frame.name,
+           subject + ", " + frame.path + ": is " + std::to_string(image.pixels.width()) + " x " + std::to_string(image.pixels.height()) +
+               " pixels; expected " + std::to_string(source_->width_px()) + " x " + std::to_string(source_->height_px()) +
+               " like most frames");
+      return v1::FRAME_WRONG_SIZE;
+    }
+    const std::uint64_t fingerprint = PixelFingerprint(image.pixels);
+    RememberFingerprint(fingerprint);
+    const ValueRange range = MiddleRange(image.pixels);
+    if (range.high - range.low <= (image.grey_max == 255.0 ? kBlankSpan : 0.0)) {
+      Note(v1::WARNING, "frame_blank", frame.name,
+           subject + " is blank: its grey levels lie between " + std::to_string(range.low) + " and " + std::to_string(range.high));
+      return v1::FRAME_BLANK;
+    }
+    if (usable_count_ > 0 && fingerprint == last_fingerprint_) {
+      Note(v1::INFO, "frame_repeated", frame.name, subject + " repeats the frame before it bit by bit");
+      return v1::FRAME_REPEATED;
+    }
+    if (usable_count_ > 0 && image.grey_max != grey_max_) {
+      Note(v1::WARNING, "frame_unreadable", frame.name,
+           subject + ", " + frame.path + ": its grey levels end at " + std::to_string(image.grey_max) + "; expected " +
+               std::to_string(grey_max_) + " as in the first frame");
+      return v1::FRAME_UNREADABLE;
+    }
+    last_fingerprint_ = fingerprint;
+    grey_max_ = image.grey_max;
+    return v1::FRAME_USABLE;
+  }
+
+  void Measure(int index, const Image<float>& pixels) {
+    ++usable_count_;
+    borders_->Add(pixels);
+    sampler_.Add(pixels);
+    const Roi middle = {pixels.width() / 10, pixels.height() / 10, pixels.width() - pixels.width() / 10,
+                        pixels.height() - pixels.height() / 10};
+    noise_sigmas_.push_back(EstimateNoiseSigma(pixels, middle));
+    waiting_.push_back({index, ReduceFrame(pixels)});
+    if (motion_.has_value() || waiting_.size() >= kFramesBeforeMotion) LinkWaitingFrames();
+  }
+
+  void LinkWaitingFrames() {
+    if (!motion_.has_value()) motion_.emplace(source_->width_px(), source_->height_px(), borders_->Find().valid_roi);
+    for (const WaitingFrame& frame : waiting_) {
+      const std::optional<MotionLink> link = motion_->Link(frame.reduced);
+      if (!link.has_value()) continue;
+      v1::ManifestFrame* entry = manifest_.mutable_frames(frame.index);
+      ToProto(link->previous_from_current, entry->mutable_previous_from_current());
+      entry->set_motion_correlation(link->correlation);
+    }
+    waiting_.clear();
+  }
+
+  void FinishPixels() {
+    const BorderFinder::Finding borders = borders_->Find();
+    *manifest_.mutable_valid_roi() = ToProto(borders.valid_roi);
+    if (!borders.note.empty()) {
+      Note(v1::INFO, "border_cut", sortie_.source().path(),
+           "black borders are left out: " + borders.note + "; the picture is " + ToString(borders.valid_roi));
+    }
+    const double area = static_cast<double>(source_->width_px()) * source_->height_px();
+    const GreyScaling scaling = ChooseGreyScaling(grey_max_, sampler_, 1.0 - static_cast<double>(borders.valid_roi.area()) / area);
+    manifest_.set_grey_offset(scaling.offset);
+    manifest_.set_grey_scale(scaling.scale);
+    manifest_.set_grey_max(grey_max_);
+    double sigma = sortie_.sensor().noise_sigma();
+    if (sigma <= 0.0) {
+      sigma = Median(noise_sigmas_);
+      // Compression and saturation can make noise invisible, but not smaller than a step of the number type.
+      sigma = std::max(sigma, grey_max_ > 0.0 ? kQuantisationSigma : 1e-3 * scaling.scale);
+    }
+    manifest_.set_noise_sigma(sigma / scaling.scale);
+  }
+
+  // Keeps the fingerprints of at most kFingerprintsMax evenly spread frames.
+  void RememberFingerprint(std::uint64_t fingerprint) {
+    const int index = manifest_.frames_size() - 1;
+    if (index % fingerprint_stride_ != 0) return;
+    fingerprints_.push_back({index, fingerprint});
+    if (fingerprints_.size() <= kFingerprintsMax) return;
+    fingerprint_stride_ *= 2;
+    std::erase_if(fingerprints_, [this](const Fingerprint& kept) { return kept.index % fingerprint_stride_ != 0; });
+  }
+
+  // Reads some frames of a video again, by seeking: where that gives other pixels than the pass from the start did, readers must count
+  // from the start.
+  Status CheckSeeking() {
+    if (manifest_.source_kind() != v1::VIDEO || fingerprints_.size() < 3) return {};
+    TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest_));
+    const std::size_t last = fingerprints_.size() - 1;
+    for (const std::size_t i : {last, last / 2, last * 3 / 4}) {
+      const Result<Image<float>> pixels = reader->Read(fingerprints_[i].index);
+      if (pixels.ok() && PixelFingerprint(*pixels) == fingerprints_[i].fingerprint) continue;
+      manifest_.set_video_from_start(true);
+      Note(v1::INFO, "video_seek_inexact", sortie_.source().path(),
+           "seeking does not lead back to the same pixels; frames are counted from the start of the file, which is slower");
+      return {};
+    }
+    return {};
+  }
+
+  struct WaitingFrame {
+    int index = 0;
+    Image<float> reduced;
+  };
+  struct Fingerprint {
+    int index = 0;
+    std::uint64_t fingerprint = 0;
+  };
+
+  const v1::Sortie& sortie_;
+  const std::function<bool(double)>& progress_;
+  std::unique_ptr<FrameSource> source_;
+  v1::SortieManifest manifest_;
+  std::optional<BorderFinder> borders_;
+  QuantileSampler sampler_;
+  std::vector<double> noise_sigmas_;
+  std::deque<WaitingFrame> waiting_;
+  std::optional<FrameMotion> motion_;
+  int usable_count_ = 0;
+  double grey_max_ = 0.0;
+  std::uint64_t last_fingerprint_ = 0;
+  int fingerprint_stride_ = 1;
+  std::vector<Fingerprint> fingerprints_;
+};
+
+}  // namespace
+
+Result<v1::SortieManifest> IngestSortie(const v1::Sortie& sortie, const std::function<bool(double fraction)>& progress) {
+  cv::setNumThreads(1);
+  return Ingest(sortie, progress).Run();
+}
+
+v1::IngestSummary SummariseManifest(const v1::SortieManifest& manifest) {
+  v1::IngestSummary summary;
+  summary.set_frame_count(static_cast<std::uint32_t>(manifest.frames_size()));
+  summary.set_width_px(manifest.width_px());
+  summary.set_height_px(manifest.height_px());
+  *summary.mutable_valid_roi() = manifest.valid_roi();
+  *summary.mutable_spans() = manifest.spans();
+  std::uint32_t usable = 0;
+  std::vector<double> motions_px;
+  const Eigen::Vector2d centre(0.5 * (manifest.width_px() - 1.0), 0.5 * (manifest.height_px() - 1.0));
+  for (const v1::ManifestFrame& frame : manifest.frames()) {
+    usable += frame.state() == v1::FRAME_USABLE ? 1 : 0;
+    const Result<Affine> motion = AffineFromProto(frame.previous_from_current(), "previous_from_current");
+    if (frame.motion_correlation() > 0.0 && motion.ok()) motions_px.push_back(((*motion) * centre - centre).norm());
+  }
+  summary.set_usable_frame_count(usable);
+  summary.set_median_motion_px(Median(std::move(motions_px)));
+  return summary;
+}
+
+}  // namespace trem
