@@ -9,6 +9,7 @@
 #include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
 #include "worker/app/exit_code.h"
+#include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
 #include "worker/app/simulate_command.h"
 
@@ -23,6 +24,7 @@ struct Command {
 
 constexpr Command kCommands[] = {
     {"serve", "join a coordinator and compute its tasks", RunServeCommand},
+    {"inspect", "say what a sortie holds", RunInspectCommand},
     {"simulate", "render a sortie with known truth", RunSimulateCommand},
 };
 
