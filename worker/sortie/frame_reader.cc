@@ -31,10 +31,11 @@ class ImageSequenceFrames final : public FrameReader {
 
   Result<Image<float>> Read(int index) override {
     TREM_RETURN_IF_ERROR(CheckIndex(manifest_, index));
-    const std::string subject = "frame " + std::to_string(index);
-    Result<GreyImage> image = ReadGreyImage(folder_ / manifest_.frames(index).name());
-    if (!image.ok()) return image.status().WithPrefix(subject);
-    return CheckSize(manifest_, subject + ", " + (folder_ / manifest_.frames(index).name()).string(), std::move(image).value());
+    const std::string subject = "frame " + std::to_string(index) + ", ";
+    const std::filesystem::path path = folder_ / manifest_.frames(index).name();
+    Result<GreyImage> image = ReadGreyImage(path);
+    if (!image.ok()) return Status(image.status().code(), subject + image.status().message());
+    return CheckSize(manifest_, subject + path.string(), std::move(image).value());
   }
 
  private:

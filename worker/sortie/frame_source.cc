@@ -69,7 +69,7 @@ class ImageSource final : public FrameSource {
         sizes.push_back(*size);
         ++counts[{size->width_px, size->height_px}];
       } else if (first_problem.ok()) {
-        first_problem = size.status().WithPrefix("frame " + std::to_string(i - next_));
+        first_problem = Status(size.status().code(), "frame " + std::to_string(i - next_) + ", " + size.status().message());
       }
     }
     if (sizes.empty()) {

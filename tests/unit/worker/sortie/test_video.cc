@@ -46,7 +46,7 @@ void FillFrame(const Image<float>& pixels, const TestVideo& options, AVFrame* fr
 bool HasEncoder(const std::string& name) { return avcodec_find_encoder_by_name(name.c_str()) != nullptr; }
 
 void WriteVideo(const std::filesystem::path& path, const std::vector<Image<float>>& frames, const TestVideo& options) {
-  av_log_set_level(AV_LOG_ERROR);
+  av_log_set_level(AV_LOG_QUIET);
   const AVCodec* codec = avcodec_find_encoder_by_name(options.encoder.c_str());
   ASSERT_NE(codec, nullptr) << "no encoder " << options.encoder;
   AvCodecPtr encoder(avcodec_alloc_context3(codec));
