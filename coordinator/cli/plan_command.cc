@@ -10,6 +10,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <set>
+#include <string_view>
 #include <tuple>
 
 #include "coordinator/cli/child_process.h"
@@ -71,7 +72,9 @@ Result<v1::SortieManifest> ReadManifest(const std::string& sortie, const std::ve
   TREM_RETURN_IF_ERROR(AwaitChild(pid, &wait_status));
   if (!WIFEXITED(wait_status) || WEXITSTATUS(wait_status) != 0) {
     *exit_code = WIFEXITED(wait_status) ? WEXITSTATUS(wait_status) : static_cast<int>(kExitFailed);
-    const std::string lines = LastLines(scratch.path / "log", 3);
+    std::string lines = LastLines(scratch.path / "log", 3);
+    constexpr std::string_view kPrefix = "trem inspect: ";
+    if (lines.compare(0, kPrefix.size(), kPrefix) == 0) lines.erase(0, kPrefix.size());
     return Failed(lines.empty() ? "the reading of " + sortie + " " + DescribeExit(wait_status) : lines);
   }
   TREM_ASSIGN_OR_RETURN(const std::string bytes, ReadFile(manifest_path, kManifestBytesMax));
