@@ -65,7 +65,7 @@ Result<fs::path> OutputPath(const fs::path& output, const std::string& name) {
     return Corrupt("the job has an output named '" + name + "'; expected a plain file name");
   }
   const std::string rest = name.compare(0, kNamePrefix.size(), kNamePrefix) == 0 ? name.substr(kNamePrefix.size()) : "_" + name;
-  return FolderOf(output) / (output.stem().string() + rest);
+  return output.parent_path() / (output.stem().string() + rest);
 }
 
 Status CheckOutput(const fs::path& output) {

@@ -1,0 +1,94 @@
+// Goal: the commands for a running coordinator do what they say and tell errors apart. Method: a real coordinator and a real worker over
+// TCP, one small job from submit to fetch.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <nlohmann/json.hpp>
+#include <thread>
+
+#include "tests/e2e/run_fixture.h"
+
+namespace trem::testing {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::Contains;
+using ::testing::HasSubstr;
+using ::testing::Key;
+
+class RemoteTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    for (int i = 0; i < 2000 && !fs::exists(ready_); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    ASSERT_TRUE(fs::exists(ready_)) << coordinator_.Stderr();
+    endpoint_ = Lines(FileContents(ready_)).at(0);
+  }
+  Completed Trem(std::vector<std::string> arguments) const {
+    arguments.insert(arguments.begin(), BinaryPath("trem").string());
+    SubprocessOptions options = fixture_.Options();
+    options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
+    return RunProgram(arguments, std::chrono::minutes(5), options);
+  }
+
+  RunFixture fixture_;
+  fs::path ready_ = fixture_.folder() / "ready";
+  fs::path store_ = fixture_.folder() / "store";
+  Subprocess coordinator_{{BinaryPath("trem-coordinator").string(), "--state", (fixture_.folder() / "state").string(), "--store",
+                           store_.string(), "--bind", "tcp://127.0.0.1:*", "--ready-file", ready_.string()},
+                          fixture_.Options()};
+  std::string endpoint_;
+};
+
+TEST_F(RemoteTest, TakesAJobFromSubmitToFetch) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  const Completed submit = Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1"});
+  ASSERT_EQ(submit.exit_code, 0) << submit.stderr_text;
+  EXPECT_EQ(submit.stdout_text, "town-1\n");
+
+  const fs::path out = fixture_.NewFolder("out");
+  const Completed early = Trem({"fetch", "town-1", "-o", (out / "town.tif").string()});
+  EXPECT_EQ(early.exit_code, 1);
+  EXPECT_THAT(early.stderr_text, HasSubstr("is running"));
+
+  Subprocess worker({BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()},
+                    fixture_.Options());
+  const Completed watch = Trem({"watch", "town-1", "--json"});
+  EXPECT_EQ(watch.exit_code, 0) << watch.stderr_text;
+  EXPECT_EQ(nlohmann::json::parse(watch.stdout_text)["state"], "done");
+  EXPECT_EQ(nlohmann::json::parse(Trem({"workers", "--json"}).stdout_text).size(), 1u);
+  EXPECT_THAT(Trem({"list"}).stdout_text, HasSubstr("town-1"));
+  EXPECT_THAT(Trem({"status", "town-1"}).stdout_text, HasSubstr("enhance"));
+
+  const Completed fetch = Trem({"fetch", "town-1", "-o", (out / "town.tif").string()});
+  EXPECT_EQ(fetch.exit_code, 0) << fetch.stderr_text;
+  EXPECT_THAT(FilesIn(out), Contains(Key("town.tif")));
+  EXPECT_THAT(FilesIn(out), Contains(Key("town_chain.csv")));
+  worker.Signal(SIGTERM);
+  const auto exit = worker.Wait(std::chrono::seconds(30));
+  ASSERT_TRUE(exit.has_value());
+  EXPECT_EQ(exit->code, 0) << worker.Stderr();
+}
+
+TEST_F(RemoteTest, CancelsAJob) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 3);
+  ASSERT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1"}).exit_code, 0);
+  const Completed cancel = Trem({"cancel", "town-1", "--json"});
+  EXPECT_EQ(cancel.exit_code, 0) << cancel.stderr_text;
+  EXPECT_EQ(nlohmann::json::parse(cancel.stdout_text)["state"], "cancelled");
+  const Completed watch = Trem({"watch", "town-1"});
+  EXPECT_EQ(watch.exit_code, 1);
+  EXPECT_THAT(watch.stderr_text, HasSubstr("cancelled"));
+}
+
+TEST_F(RemoteTest, SaysThatAJobIsNotKnown) {
+  for (const char* command : {"status", "watch", "cancel"}) {
+    const Completed unknown = Trem({command, "no-such-job"});
+    EXPECT_EQ(unknown.exit_code, 3) << command;
+    EXPECT_EQ(Lines(unknown.stderr_text).size(), 1u) << unknown.stderr_text;
+    EXPECT_THAT(unknown.stderr_text, HasSubstr("no-such-job"));
+  }
+}
+
+}  // namespace
+}  // namespace trem::testing
