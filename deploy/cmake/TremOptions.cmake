@@ -36,3 +36,7 @@ if(TREM_SANITIZE)
   target_compile_options(trem_flags INTERFACE -fsanitize=${TREM_SANITIZE} -fno-sanitize-recover=undefined)
   target_link_options(trem_flags INTERFACE -fsanitize=${TREM_SANITIZE})
 endif()
+if(TREM_BUILD_FUZZERS)
+  # Coverage feedback from the code under test too, not only from the fuzz target's own file.
+  target_compile_options(trem_flags INTERFACE -fsanitize=fuzzer-no-link)
+endif()
