@@ -1,0 +1,137 @@
+// Goal: Gauss-Newton finds the view, knows how well, and uses nothing that it must not use. Method: frames that are samples of the
+// prediction plus white noise, at known views.
+#include "worker/registration/gauss_newton.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <cmath>
+#include <limits>
+
+#include "tests/unit/worker/registration/synthetic_scene.h"
+
+namespace trem {
+namespace {
+
+using testing::Corners;
+using testing::SyntheticScene;
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+
+double ErrorPx(const Registration& registration, const View& truth, const Roi& roi) {
+  return LargestCornerMotion(registration.view.scene_from_sensor, truth.scene_from_sensor, roi);
+}
+
+TEST(GaussNewton, RecoversAnAffineViewWithGainAndOffset) {
+  constexpr int kCount = 10;
+  const SyntheticScene scene(101);
+  Rng rng({7});
+  double squares = 0.0;
+  for (std::uint64_t k = 0; k < kCount; ++k) {
+    const View truth = scene.NominalMovedBy(testing::RandomCorners(&rng, 1.0), 1.0 + 0.05 * rng.Normal(), 5.0 * rng.Normal());
+    const Image<float> frame = scene.Frame(truth, k);
+    const Registration found =
+        RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(scene.Nominal(), 5.0), scene.Nominal(), {});
+    EXPECT_TRUE(found.converged);
+    EXPECT_LT(ErrorPx(found, truth, scene.roi), 0.04) << "case " << k << ", the worst of four corners";
+    squares += CornerDisplacement(found.view.scene_from_sensor, truth.scene_from_sensor, scene.roi).squaredNorm();
+    EXPECT_NEAR(found.view.gain, truth.gain, 0.005);
+    EXPECT_NEAR(found.view.offset, truth.offset, 0.6);
+    EXPECT_NEAR(found.residual_rms, 2.0, 0.1);
+    EXPECT_GT(found.correlation, 0.99);
+    EXPECT_EQ(found.overlap, 1.0);
+  }
+  EXPECT_LT(std::sqrt(squares / (6.0 * kCount)), 0.02) << "rms of a corner coordinate, px";
+}
+
+// Over N = 120 frames the sum of d' C^-1 d is chi-square with 6 N degrees of freedom where C is right: its mean per degree has standard
+// deviation sqrt(2 / 720) = 0.053. The limits are 5 of them (false alarm about 6e-7) and 5 % for what C leaves out: Huber's weights and
+// the linearisation.
+TEST(GaussNewton, TheCovarianceCoversTheTrueErrorAtItsRate) {
+  constexpr int kCount = 120;
+  const SyntheticScene scene(61, 3);
+  Rng rng({8});
+  double sum = 0.0;
+  for (std::uint64_t k = 0; k < kCount; ++k) {
+    const View truth = scene.NominalMovedBy(testing::RandomCorners(&rng, 0.5));
+    const Image<float> frame = scene.Frame(truth, 1000 + k);
+    const Registration found =
+        RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(scene.Nominal(), 5.0), scene.Nominal(), {});
+    const CornerVector d = CornerDisplacement(found.view.scene_from_sensor, truth.scene_from_sensor, scene.roi);
+    sum += d.dot(found.corner_covariance.ldlt().solve(d)) / 6.0;
+  }
+  const double mean = sum / kCount;
+  const double limit = 5.0 * std::sqrt(2.0 / (6.0 * kCount)) + 0.05;
+  EXPECT_NEAR(mean, 1.0, limit);
+}
+
+TEST(GaussNewton, CellsThatNobodyHasSeenAreNotUsed) {
+  SyntheticScene scene(81);
+  const View truth = scene.NominalMovedBy(Corners(0.4, -0.3, 0.5, 0.1, -0.2, 0.3));
+  const Image<float> frame = scene.Frame(truth, 1);
+  for (int y = 0; y < scene.seen.height(); ++y) {
+    for (int x = scene.seen.width() / 2; x < scene.seen.width(); ++x) scene.seen.at(x, y) = 0.0F;
+    // Beyond the reach of a seen cell's cubic support the values do not exist.
+    for (int x = scene.seen.width() / 2 + 3; x < scene.seen.width(); ++x) scene.prediction.at(x, y) = 1e6F;
+  }
+  const Registration found =
+      RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(scene.Nominal(), 5.0), scene.Nominal(), {});
+  EXPECT_NEAR(found.overlap, 0.5, 0.02);
+  EXPECT_LT(ErrorPx(found, truth, scene.roi), 0.06) << "from half of the ROI";
+}
+
+TEST(GaussNewton, NanPixelsAreIgnored) {
+  const SyntheticScene scene(81);
+  const View truth = scene.NominalMovedBy(Corners(0.4, -0.3, 0.5, 0.1, -0.2, 0.3));
+  Image<float> frame = scene.Frame(truth, 1);
+  for (int y = 20; y < 45; ++y) {
+    for (int x = 30; x < 60; ++x) frame.at(x, y) = kNan;
+  }
+  const Registration found =
+      RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(scene.Nominal(), 5.0), scene.Nominal(), {});
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT(ErrorPx(found, truth, scene.roi), 0.02);
+  EXPECT_NEAR(found.overlap, 1.0 - 25.0 * 30.0 / (81.0 * 81.0), 1e-9);
+  EXPECT_TRUE(found.corner_covariance.allFinite());
+}
+
+TEST(GaussNewton, WithoutTextureTheViewStaysAtThePriorAndSaysSo) {
+  SyntheticScene scene(61);
+  for (float& cell : scene.prediction.pixels()) cell = 100.0F;
+  const Image<float> frame = scene.Frame(scene.Nominal(), 1);
+  const View mean = scene.NominalMovedBy(Corners(0.3, 0.3, 0.3, 0.3, 0.3, 0.3));
+  const Registration found = RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(mean, 0.7), mean, {});
+  EXPECT_LT(ErrorPx(found, mean, scene.roi), 1e-3) << "what float rounding of a constant leaves as texture";
+  EXPECT_LT((found.corner_covariance - 0.49 * CornerMatrix::Identity()).norm(), 0.01);
+}
+
+TEST(GaussNewton, ThePyramidReachesTenPixels) {
+  const SyntheticScene scene(101);
+  GaussNewtonOptions options;
+  options.pyramid_levels = 3;
+  int found_count = 0;
+  for (int k = 0; k < 8; ++k) {
+    const double angle = 0.785 * k;
+    const double x = 10.0 * std::cos(angle);
+    const double y = 10.0 * std::sin(angle);
+    const View truth = scene.NominalMovedBy(Corners(x, y, x, y, x, y));
+    const Image<float> frame = scene.Frame(truth, static_cast<std::uint64_t>(k));
+    const Registration found =
+        RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(scene.Nominal(), 20.0), scene.Nominal(), options);
+    found_count += ErrorPx(found, truth, scene.roi) < 0.03 ? 1 : 0;
+  }
+  EXPECT_EQ(found_count, 8);
+}
+
+TEST(GaussNewton, OffTheSceneThereIsNoOverlapAndNoConvergence) {
+  const SyntheticScene scene(61);
+  const Image<float> frame = scene.Frame(scene.Nominal(), 1);
+  const View far = scene.NominalMovedBy(Corners(500, 0, 500, 0, 500, 0));
+  const Registration found = RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(far, 1.0), far, {});
+  EXPECT_LT(found.overlap, 0.05);
+  EXPECT_FALSE(found.converged);
+}
+
+}  // namespace
+}  // namespace trem

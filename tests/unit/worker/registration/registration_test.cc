@@ -1,0 +1,87 @@
+// Goal: every method gives a registration that is believed when it should be, and a reason when it should not. Method: frames that belong
+// to the scene, lie off it, are noise, move too far, or have an absurd gain.
+#include "worker/registration/registration.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/unit/worker/registration/synthetic_scene.h"
+
+namespace trem {
+namespace {
+
+using testing::Corners;
+using ::testing::HasSubstr;
+using testing::SyntheticScene;
+
+RegistrationRequest RequestAbout(const SyntheticScene& scene, const View& mean, double sigma_px) {
+  RegistrationRequest request;
+  request.prior = scene.PriorAbout(mean, sigma_px);
+  return request;
+}
+
+TEST(Registration, EveryMethodIsBelievedOnAFrameOfTheScene) {
+  const SyntheticScene scene(81);
+  const View truth = scene.NominalMovedBy(Corners(0.4, -0.3, 0.5, 0.1, -0.2, 0.3));
+  const Image<float> frame = scene.Frame(truth, 1);
+  for (const RegistrationMethod method : {RegistrationMethod::kAuto, RegistrationMethod::kGaussNewton, RegistrationMethod::kHints,
+                                          RegistrationMethod::kHintsThenGaussNewton}) {
+    RegistrationRequest request = RequestAbout(scene, scene.Nominal(), 2.0);
+    request.method = method;
+    const JudgedRegistration judged = Register(scene.Observe(frame), scene.reference(), request);
+    EXPECT_EQ(judged.doubt, "");
+    EXPECT_LT(LargestCornerMotion(judged.registration.view.scene_from_sensor, truth.scene_from_sensor, scene.roi), 0.1);
+  }
+}
+
+TEST(Registration, AFrameOffTheSceneHasNoOverlap) {
+  const SyntheticScene scene(61);
+  const Image<float> frame = scene.Frame(scene.Nominal(), 1);
+  const View far = scene.NominalMovedBy(Corners(300, 0, 300, 0, 300, 0));
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), RequestAbout(scene, far, 1.0)).doubt,
+              HasSubstr("overlaps the scene by 0 %"));
+}
+
+TEST(Registration, NoiseDoesNotMatch) {
+  const SyntheticScene scene(61);
+  Rng rng({1});
+  Image<float> noise(61, 61);
+  for (float& pixel : noise.pixels()) pixel = static_cast<float>(110.0 + 40.0 * rng.Normal());
+  EXPECT_THAT(Register(scene.Observe(noise), scene.reference(), RequestAbout(scene, scene.Nominal(), 2.0)).doubt,
+              HasSubstr("does not match the scene"));
+}
+
+TEST(Registration, AnotherPlaceDoesNotMatch) {
+  const SyntheticScene scene(61, 1);
+  const SyntheticScene other(61, 2);
+  const Image<float> frame = other.Frame(other.Nominal(), 1);
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), RequestAbout(scene, scene.Nominal(), 2.0)).doubt,
+              HasSubstr("does not match the scene"));
+}
+
+TEST(Registration, AMotionBeyondTheLimitIsNotBelieved) {
+  const SyntheticScene scene(81);
+  const View truth = scene.NominalMovedBy(Corners(3, 0, 3, 0, 3, 0));
+  const Image<float> frame = scene.Frame(truth, 1);
+  RegistrationRequest request = RequestAbout(scene, scene.Nominal(), 5.0);
+  request.motion_px_max = 2.0;
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), request).doubt, HasSubstr("would have moved 3.0 px"));
+  request.motion_px_max = 4.0;
+  EXPECT_EQ(Register(scene.Observe(frame), scene.reference(), request).doubt, "");
+}
+
+TEST(Registration, AnotherCandidateIsTriedWhenThePriorLeadsNowhere) {
+  const SyntheticScene scene(81);
+  const View truth = scene.Nominal();
+  const Image<float> frame = scene.Frame(truth, 1);
+  RegistrationRequest request = RequestAbout(scene, scene.NominalMovedBy(Corners(40, 0, 40, 0, 40, 0)), 40.0);
+  request.method = RegistrationMethod::kGaussNewton;
+  request.motion_px_max = 50.0;
+  request.candidates = {truth};
+  const JudgedRegistration judged = Register(scene.Observe(frame), scene.reference(), request);
+  EXPECT_EQ(judged.doubt, "");
+  EXPECT_LT(LargestCornerMotion(judged.registration.view.scene_from_sensor, truth.scene_from_sensor, scene.roi), 0.03);
+}
+
+}  // namespace
+}  // namespace trem

@@ -1,0 +1,155 @@
+// Goal: an iteration never makes the scene worse, samples land where they belong, and what is not a measurement leaves no trace.
+// Method: with no momentum every step minimises a majoriser, so the objective (computed here in double precision from the header's
+// formula) must not grow; frames with NaN and with an outlier against frames without.
+#include "worker/tre/information_update.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "mosaic/base/rng.h"
+
+namespace trem {
+namespace {
+
+constexpr int kRatio = 3;
+const Roi kRoi{0, 0, 20, 18};
+const Roi kPlane{-9, -9, 69, 63};
+
+SeparablePsf Psf() { return *MakePsf({0.55, 0.9}, kRatio); }
+
+Image<float> NoisyFrame(std::uint64_t seed) {
+  Rng rng({seed});
+  Image<float> frame(kRoi.width(), kRoi.height());
+  for (int y = 0; y < frame.height(); ++y) {
+    for (int x = 0; x < frame.width(); ++x) {
+      frame.at(x, y) = static_cast<float>(((x / 4 + y / 5) % 2 == 0 ? 60.0 : 150.0) + 2.0 * rng.Normal());
+    }
+  }
+  return frame;
+}
+
+View ViewOf(double dx, double dy) {
+  View view;
+  view.scene_from_sensor.linear *= kRatio;
+  view.scene_from_sensor.offset = {dx, dy};
+  return view;
+}
+
+// A flat scene with six frames added at various places; some cells stay unseen.
+SceneBuffer BufferWithFrames(InformationUpdate* update) {
+  SceneBuffer buffer(kPlane);
+  for (float& cell : buffer.scene.pixels()) cell = 100.0F;
+  buffer.previous = buffer.scene;
+  update->Predict(kPlane, &buffer);
+  Rng rng({99});
+  for (std::uint64_t k = 0; k < 6; ++k) {
+    const Image<float> frame = NoisyFrame(k);
+    update->AddFrame({&frame, kRoi, 2.0}, ViewOf(3.0 * rng.Uniform(), 3.0 * rng.Uniform()), kPlane, &buffer);
+  }
+  update->UpdateSeen(kPlane, kRatio, &buffer);
+  return buffer;
+}
+
+double Objective(const SceneBuffer& buffer, const StructurePrior& prior, double lambda) {
+  Blur blur(Psf());
+  Image<float> predicted(buffer.scene.width(), buffer.scene.height());
+  blur.Apply(buffer.scene, &predicted);
+  const auto psi = [&](double d) {
+    const double size = std::abs(d);
+    const bool linear = prior.kind == StructurePriorKind::kHuberTv && size > prior.delta;
+    return linear ? prior.delta * (size - 0.5 * prior.delta) : 0.5 * d * d;
+  };
+  double sum = 0.0;
+  for (int y = 0; y < predicted.height(); ++y) {
+    for (int x = 0; x < predicted.width(); ++x) {
+      const double w = buffer.weight.at(x, y);
+      if (w > 0.0) sum += 0.5 * w * std::pow(predicted.at(x, y) - buffer.weighted.at(x, y) / w, 2);
+      if (x > 0) sum += lambda * psi(buffer.scene.at(x, y) - buffer.scene.at(x - 1, y));
+      if (y > 0) sum += lambda * psi(buffer.scene.at(x, y) - buffer.scene.at(x, y - 1));
+    }
+  }
+  return sum;
+}
+
+TEST(InformationUpdate, AStepWithoutMomentumNeverIncreasesTheObjective) {
+  for (const StructurePriorKind kind : {StructurePriorKind::kHuberTv, StructurePriorKind::kMembrane}) {
+    for (const float lambda : {0.0F, 0.02F, 1.0F}) {
+      InformationOptions options;
+      options.prior.kind = kind;
+      options.momentum_max = 0.0;
+      InformationUpdate update(Blur(Psf()), options);
+      SceneBuffer buffer = BufferWithFrames(&update);
+      const double start = Objective(buffer, options.prior, lambda);
+      double before = start;
+      for (int step = 0; step < 30; ++step) {
+        update.Iterate(kPlane, 1, kRatio, lambda, &buffer);
+        const double after = Objective(buffer, options.prior, lambda);
+        ASSERT_LE(after, before * (1.0 + 1e-5)) << "step " << step << " lambda " << lambda;
+        before = after;
+      }
+      EXPECT_LT(before, 0.6 * start) << "it does descend";
+    }
+  }
+}
+
+TEST(InformationUpdate, MomentumGetsFurtherInTheSameSteps) {
+  double reached[2];
+  for (int k = 0; k < 2; ++k) {
+    InformationOptions options;
+    options.momentum_max = k == 0 ? 0.0 : 0.9;
+    InformationUpdate update(Blur(Psf()), options);
+    SceneBuffer buffer = BufferWithFrames(&update);
+    update.Iterate(kPlane, 30, kRatio, 0.02F, &buffer);
+    reached[k] = Objective(buffer, options.prior, 0.02);
+  }
+  EXPECT_LT(reached[1], reached[0]);
+}
+
+TEST(InformationUpdate, NanPixelsLeaveNoTrace) {
+  const InformationUpdate update(Blur(Psf()), {});
+  SceneBuffer buffer(kPlane);
+  Image<float> frame(kRoi.width(), kRoi.height(), std::numeric_limits<float>::quiet_NaN());
+  frame.at(7, 5) = 80.0F;
+  update.AddFrame({&frame, kRoi, 2.0}, ViewOf(0.2, -0.3), kPlane, &buffer);
+  for (int y = 0; y < buffer.weight.height(); ++y) {
+    for (int x = 0; x < buffer.weight.width(); ++x) {
+      const bool hit = x + kPlane.x0 == 21 && y + kPlane.y0 == 15;
+      EXPECT_EQ(buffer.weight.at(x, y), hit ? 1.0F : 0.0F);
+      EXPECT_EQ(buffer.weighted.at(x, y), hit ? 80.0F : 0.0F);
+    }
+  }
+}
+
+TEST(InformationUpdate, AnOutlierOnKnownGroundLosesWeight) {
+  InformationUpdate update(Blur(Psf()), {});
+  SceneBuffer buffer(kPlane);
+  for (float& cell : buffer.scene.pixels()) cell = 100.0F;
+  update.Predict(kPlane, &buffer);
+  Image<float> frame(kRoi.width(), kRoi.height(), 100.0F);
+  for (int k = 0; k < 3; ++k) update.AddFrame({&frame, kRoi, 2.0}, ViewOf(k, 0.0), kPlane, &buffer);
+  update.UpdateSeen(kPlane, kRatio, &buffer);
+  const int x = 3 * 9 - kPlane.x0;
+  const int y = 3 * 9 - kPlane.y0;
+  const float before = buffer.weight.at(x, y);
+  frame.at(9, 9) = 160.0F;  // Ten times the limit of 3 sigma.
+  update.AddFrame({&frame, kRoi, 2.0}, ViewOf(0.0, 0.0), kPlane, &buffer);
+  EXPECT_NEAR(buffer.weight.at(x, y) - before, 0.1F, 0.01F);
+}
+
+TEST(InformationUpdate, ForgettingFadesTheRegionOnly) {
+  InformationOptions options;
+  options.forgetting = 0.5;
+  const InformationUpdate update(Blur(Psf()), options);
+  SceneBuffer buffer(kPlane);
+  for (float& cell : buffer.weight.pixels()) cell = 1.0F;
+  const Image<float> nothing(kRoi.width(), kRoi.height(), std::numeric_limits<float>::quiet_NaN());
+  const Roi region{0, 0, 10, 10};
+  update.AddFrame({&nothing, kRoi, 2.0}, ViewOf(0.0, 0.0), region, &buffer);
+  EXPECT_EQ(buffer.weight.at(5 - kPlane.x0, 5 - kPlane.y0), 0.5F);
+  EXPECT_EQ(buffer.weight.at(15 - kPlane.x0, 5 - kPlane.y0), 1.0F);
+}
+
+}  // namespace
+}  // namespace trem
