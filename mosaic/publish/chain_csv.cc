@@ -14,13 +14,6 @@ constexpr const char* kHeader =
     "world_from_sensor_11,world_from_sensor_12,world_from_sensor_13,world_from_sensor_21,world_from_sensor_22,world_from_sensor_23,"
     "world_from_sensor_31,world_from_sensor_32,world_from_sensor_33\n";
 
-std::string Quoted(const std::string& text) {
-  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
-  std::string quoted = "\"";
-  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
-  return quoted + "\"";
-}
-
 std::string FitColumns(const std::optional<ChainFit>& fit) {
   if (!fit) return std::string(11, ',');
   const Eigen::Matrix2d& a = fit->scene_from_sensor.linear;
@@ -40,6 +33,13 @@ std::string WorldColumns(const std::optional<Homography>& world_from_sensor) {
 
 }  // namespace
 
+std::string CsvField(const std::string& text) {
+  if (text.find_first_of(",\"\r\n") == std::string::npos) return text;
+  std::string quoted = "\"";
+  for (const char c : text) quoted += c == '"' ? std::string("\"\"") : std::string(1, c);
+  return quoted + "\"";
+}
+
 Result<ChainCsvWriter> ChainCsvWriter::Create(const std::filesystem::path& path) {
   std::ofstream stream(path, std::ios::binary | std::ios::trunc);
   if (!stream) return FromErrno("cannot create " + path.string(), errno);
@@ -48,9 +48,9 @@ Result<ChainCsvWriter> ChainCsvWriter::Create(const std::filesystem::path& path)
 }
 
 Status ChainCsvWriter::Write(const ChainRow& row) {
-  stream_ << fmt::format("{},{},{},{},{},{},{}", row.frame_index, Quoted(row.frame_name), row.time_s,
+  stream_ << fmt::format("{},{},{},{},{},{},{}", row.frame_index, CsvField(row.frame_name), row.time_s,
                          row.window_id ? std::to_string(*row.window_id) : "", row.fit ? std::to_string(row.fit->segment_id) : "",
-                         row.status, Quoted(row.reason))
+                         row.status, CsvField(row.reason))
           << FitColumns(row.fit) << WorldColumns(row.world_from_sensor) << '\n';
   if (!stream_) return FromErrno("cannot write " + path_.string(), errno);
   return {};

@@ -35,6 +35,9 @@ struct ChainRow {
   std::optional<Homography> world_from_sensor;  // When the frame is aligned: mosaic CRS from sensor pixels.
 };
 
+// `text` as one CSV field (RFC 4180): in quotes when it has to be.
+std::string CsvField(const std::string& text);
+
 // Writes mosaic_chain.csv row by row (RFC 4180, lines end in \n; numbers in the shortest form that reads back as the same double;
 // absent values are empty). Streams to `path`, which callers publish.
 class ChainCsvWriter {

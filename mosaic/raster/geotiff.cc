@@ -16,6 +16,13 @@ GeoTransform GeoTransformFromGrid(const MosaicGrid& grid) {
   return {grid.origin_x - half, grid.gsd, 0.0, grid.origin_y + half, 0.0, -grid.gsd};
 }
 
+GeoTransform GeoTransformFromAffine(const Affine& target_from_pixel) {
+  const Eigen::Vector2d half = Eigen::Vector2d::Constant(0.5);
+  const Eigen::Vector2d corner = target_from_pixel * -half + half;
+  const Eigen::Matrix2d& m = target_from_pixel.linear;
+  return {corner.x(), m(0, 0), m(0, 1), corner.y(), m(1, 0), m(1, 1)};
+}
+
 Result<MosaicGrid> GridFromGeoTransform(const GeoTransform& geotransform, int width, int height) {
   const double gsd = geotransform[1];
   const bool north_up = geotransform[2] == 0.0 && geotransform[4] == 0.0 && gsd > 0.0 && geotransform[5] < 0.0;
@@ -64,6 +71,10 @@ namespace {
 
 Status FillDataset(const FloatRaster& raster, GDALDataset* dataset) {
   if (raster.grid) TREM_RETURN_IF_ERROR(SetGeoreference(*raster.grid, dataset));
+  if (raster.geotransform) {
+    GeoTransform geotransform = *raster.geotransform;
+    if (dataset->SetGeoTransform(geotransform.data()) != CE_None) return Failed("GDAL does not take the geotransform");
+  }
   for (const auto& [key, value] : raster.metadata) dataset->SetMetadataItem(key.c_str(), value.c_str());
   for (std::size_t i = 0; i < raster.bands.size(); ++i) {
     GDALRasterBand* band = dataset->GetRasterBand(static_cast<int>(i) + 1);
@@ -84,6 +95,7 @@ Status FillDataset(const FloatRaster& raster, GDALDataset* dataset) {
 
 Status WriteFloatRaster(const std::filesystem::path& path, const FloatRaster& raster) {
   TREM_CHECK(!raster.bands.empty() && !raster.bands[0].pixels.empty());
+  TREM_CHECK(!(raster.grid && raster.geotransform));
   const int width = raster.bands[0].pixels.width();
   const int height = raster.bands[0].pixels.height();
   for (const FloatBand& band : raster.bands) TREM_CHECK(band.pixels.width() == width && band.pixels.height() == height);

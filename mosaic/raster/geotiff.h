@@ -9,6 +9,7 @@
 
 #include "mosaic/base/image.h"
 #include "mosaic/base/status.h"
+#include "mosaic/geometry/affine.h"
 #include "mosaic/geometry/mosaic_grid.h"
 #include "mosaic/geometry/roi.h"
 
@@ -21,10 +22,13 @@ namespace trem {
 //   x = g[0] + P g[1] + L g[2],   y = g[3] + P g[4] + L g[5]
 //
 // and the centre of pixel (c, r) is at (P, L) = (c + 1/2, r + 1/2). Everywhere else in this project pixel (c, r) has its centre at
-// (c, r). These two functions are the only place that knows of the difference. Source: GDAL, Geotransform Tutorial.
+// (c, r). These functions are the only place that knows of the difference. Source: GDAL, Geotransform Tutorial.
 using GeoTransform = std::array<double, 6>;
 
 GeoTransform GeoTransformFromGrid(const MosaicGrid& grid);
+// The geotransform of a raster whose "world" is another image's pixels. `target_from_pixel` maps pixel centres to pixel centres; the
+// result maps corner-based coordinates to corner-based ones: (0, 0) is the upper left corner of both images, x right, y down.
+GeoTransform GeoTransformFromAffine(const Affine& target_from_pixel);
 // The grid (without CRS) of a north-up raster with square pixels; kInvalidInput for a rotated, sheared or anisotropic one.
 Result<MosaicGrid> GridFromGeoTransform(const GeoTransform& geotransform, int width, int height);
 
@@ -43,6 +47,8 @@ struct FloatRaster {
   std::optional<MosaicGrid> grid;               // Georeference; none: a raster in its own pixels.
   std::optional<double> nodata;                 // NaN allowed.
   std::map<std::string, std::string> metadata;  // Default domain.
+  // Any affine georeference, without a CRS. Not together with `grid`.
+  std::optional<GeoTransform> geotransform = std::nullopt;
 };
 
 // Writes a tiled TIFF: 256 blocks, DEFLATE, floating point predictor, band-interleaved. The bytes depend on the arguments only (no

@@ -1,7 +1,6 @@
 #include "worker/app/inspect_command.h"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
@@ -13,6 +12,7 @@
 #include "proto/codec/convert.h"
 #include "proto/codec/sortie_spec.h"
 #include "worker/app/exit_code.h"
+#include "worker/app/progress_bar.h"
 #include "worker/app/sortie_report.h"
 #include "worker/sortie/ingest.h"
 
@@ -34,32 +34,9 @@ struct Arguments {
   bool quiet = false;
 };
 
-// A bar where somebody watches; nothing elsewhere.
-class ProgressBar {
- public:
-  explicit ProgressBar(bool quiet) : on_(!quiet && isatty(STDERR_FILENO) != 0) {}
-  ~ProgressBar() {
-    if (on_) fmt::print(stderr, "\r{:60}\r", "");
-  }
-  ProgressBar(const ProgressBar&) = delete;
-  ProgressBar& operator=(const ProgressBar&) = delete;
-
-  void Show(double fraction) {
-    const int percent = static_cast<int>(100.0 * fraction);
-    if (!on_ || percent == shown_) return;
-    shown_ = percent;
-    fmt::print(stderr, "\rreading [{:<40}] {:3} %", std::string(static_cast<std::size_t>(percent * 40 / 100), '#'), percent);
-    std::fflush(stderr);
-  }
-
- private:
-  bool on_;
-  int shown_ = -1;
-};
-
 Result<v1::SortieManifest> Ingest(const Arguments& arguments) {
   TREM_ASSIGN_OR_RETURN(const v1::Sortie sortie, LoadSortie(arguments.sortie, arguments.overrides));
-  ProgressBar bar(arguments.quiet);
+  ProgressBar bar("reading", arguments.quiet);
   try {
     return IngestSortie(sortie, [&bar](double fraction) {
       bar.Show(fraction);

@@ -8,6 +8,7 @@
 
 #include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
+#include "worker/app/enhance_command.h"
 #include "worker/app/exit_code.h"
 #include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
@@ -25,6 +26,7 @@ struct Command {
 constexpr Command kCommands[] = {
     {"serve", "join a coordinator and compute its tasks", RunServeCommand},
     {"inspect", "say what a sortie holds", RunInspectCommand},
+    {"enhance", "enhance one region of the sensor", RunEnhanceCommand},
     {"simulate", "render a sortie with known truth", RunSimulateCommand},
 };
 

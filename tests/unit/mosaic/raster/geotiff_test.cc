@@ -40,6 +40,27 @@ TEST(GeoTiff, ThePixelCentreIsWhereTheGridSaysAccordingToGdal) {
   }
 }
 
+TEST(GeoTiff, AnAffineGeoreferenceLeadsFromCornersToCorners) {
+  const testing::TempDir folder;
+  Affine target_from_pixel;
+  target_from_pixel.linear << 0.31, -0.04, 0.05, 0.35;
+  target_from_pixel.offset = {12.5, -3.25};
+  FloatRaster raster;
+  raster.bands.push_back({"value", Image<float>(20, 10, 1.0f)});
+  raster.geotransform = GeoTransformFromAffine(target_from_pixel);
+  ASSERT_TRUE(WriteFloatRaster(folder / "scene.tif", raster).ok());
+  const GdalDatasetPtr dataset = *OpenTiff(folder / "scene.tif", "scene");
+  double g[6];
+  ASSERT_EQ(dataset->GetGeoTransform(g), CE_None);
+  EXPECT_EQ(dataset->GetSpatialRef(), nullptr);
+  for (const Eigen::Vector2d& pixel : {Eigen::Vector2d(0, 0), Eigen::Vector2d(19, 3), Eigen::Vector2d(4, 9)}) {
+    const Eigen::Vector2d corner_based = target_from_pixel * pixel + Eigen::Vector2d(0.5, 0.5);
+    EXPECT_LT((Apply(g, pixel.x() + 0.5, pixel.y() + 0.5) - corner_based).norm(), 1e-9);
+  }
+  // The identity is the identity in both conventions.
+  EXPECT_EQ(GeoTransformFromAffine(Affine{}), (GeoTransform{0.0, 1.0, 0.0, 0.0, 0.0, 1.0}));
+}
+
 TEST(GeoTiff, FilesOfTilesTileThePlane) {
   const testing::TempDir folder;
   const MosaicGrid grid = Grid();

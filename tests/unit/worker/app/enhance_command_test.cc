@@ -1,0 +1,228 @@
+// Goal: `trem enhance` does what its help says: the scene's geotransform leads to the reference frame's sensor pixels, the three files
+// appear together or not at all, and every bad input has its exit code and message. Method: the command function is called as main calls
+// it, on frames rendered from a truth with one round bright spot; files are read back with GDAL.
+#include "worker/app/enhance_command.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <memory>
+#include <opencv2/imgcodecs.hpp>
+#include <string>
+#include <vector>
+
+#include "mosaic/raster/gdal_env.h"
+#include "mosaic/raster/scene_raster.h"
+#include "tests/support/paths.h"
+#include "tests/support/rendered_sequence.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+using trem::testing::FileContents;
+using trem::testing::TempDir;
+
+constexpr int kFrames = 10;
+constexpr int kSide = 90;
+const Eigen::Vector2d kSpotInTruth(201.3, 187.6);
+constexpr double kFlatLevel = 90.0;
+constexpr double kSpotRadius = 14.0;  // Cells around the spot that are counted to it.
+
+struct Outcome {
+  int code = -1;
+  std::string out;
+  std::string err;
+};
+
+Outcome RunCommand(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), "trem enhance");
+  std::vector<char*> argv;
+  for (std::string& argument : arguments) argv.push_back(argument.data());
+  ::testing::internal::CaptureStdout();
+  ::testing::internal::CaptureStderr();
+  Outcome outcome;
+  outcome.code = RunEnhanceCommand(static_cast<int>(argv.size()), argv.data());
+  outcome.out = ::testing::internal::GetCapturedStdout();
+  outcome.err = ::testing::internal::GetCapturedStderr();
+  return outcome;
+}
+
+// A bright spot on a flat yard in the middle of the usual ground.
+Image<float> TruthWithASpot(const testing::SequenceOptions& options) {
+  Image<float> truth = testing::ProceduralTruth(testing::TruthWidth(options), testing::TruthHeight(options), options.seed);
+  for (int y = 0; y < truth.height(); ++y) {
+    for (int x = 0; x < truth.width(); ++x) {
+      const double d2 = (Eigen::Vector2d(x, y) - kSpotInTruth).squaredNorm();
+      const double yard = kFlatLevel + 160.0 * std::exp(-0.5 * d2 / 16.0);
+      truth.at(x, y) = d2 < 26.0 * 26.0 ? static_cast<float>(yard) : std::min(truth.at(x, y), 180.0F);
+    }
+  }
+  return truth;
+}
+
+class EnhanceCommand : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<TempDir>();
+    testing::SequenceOptions options;
+    options.frame_count = kFrames;
+    options.roi_px = kSide;
+    options.speed_px = 1.3;
+    options.gain_swing = 0.0;
+    options.offset_swing = 0.0;
+    const testing::RenderedSequence sequence = testing::RenderSequence(TruthWithASpot(options), options);
+    views_ = sequence.truth_from_sensor;
+    fs::create_directory(*folder_ / "frames");
+    for (int t = 0; t < kFrames; ++t) {
+      cv::Mat1b grey(kSide, kSide);
+      for (int y = 0; y < kSide; ++y) {
+        for (int x = 0; x < kSide; ++x) {
+          grey(y, x) = cv::saturate_cast<unsigned char>(sequence.frames[static_cast<std::size_t>(t)].pixels.at(x, y));
+        }
+      }
+      ASSERT_TRUE(cv::imwrite((*folder_ / "frames" / ("f" + std::to_string(100 + t) + ".png")).string(), grey));
+    }
+  }
+  static void TearDownTestSuite() { folder_.reset(); }
+
+  static std::string Frames() { return (*folder_ / "frames").string(); }
+  static std::unique_ptr<TempDir> folder_;
+  static std::vector<Affine> views_;
+};
+
+std::unique_ptr<TempDir> EnhanceCommand::folder_;
+std::vector<Affine> EnhanceCommand::views_;
+
+// Mean over 7 x 7 cells; NaN (never seen) when one of them is.
+double MeanAround(const Image<float>& scene, int x, int y) {
+  double sum = 0.0;
+  for (int j = -3; j <= 3; ++j) {
+    for (int i = -3; i <= 3; ++i) sum += scene.at(x + i, y + j);
+  }
+  return sum / 49.0;
+}
+
+// Centroid of the spot [pixels of the scene, centre-based], from the brightest surroundings on.
+Eigen::Vector2d FindSpot(const Image<float>& scene) {
+  Eigen::Vector2d centre(0, 0);
+  double brightest = 0.0;
+  for (int y = 3; y + 3 < scene.height(); ++y) {
+    for (int x = 3; x + 3 < scene.width(); ++x) {
+      const double mean = MeanAround(scene, x, y);
+      if (!(mean > brightest)) continue;
+      brightest = mean;
+      centre = {x, y};
+    }
+  }
+  for (int iteration = 0; iteration < 10; ++iteration) {
+    Eigen::Vector2d sum(0, 0);
+    double weight = 0.0;
+    for (int y = 0; y < scene.height(); ++y) {
+      for (int x = 0; x < scene.width(); ++x) {
+        const double above = scene.at(x, y) - kFlatLevel;
+        if (!(above > 10.0) || (Eigen::Vector2d(x, y) - centre).norm() > kSpotRadius) continue;
+        sum += above * Eigen::Vector2d(x, y);
+        weight += above;
+      }
+    }
+    centre = sum / weight;
+  }
+  return centre;
+}
+
+TEST_F(EnhanceCommand, TheGeotransformLeadsToSensorPixelsOfTheReferenceFrame) {
+  const TempDir temp;
+  const std::string output = (temp / "scene.tif").string();
+  // A corner that is not the origin, sides that differ, and a frame that is neither the first nor the last.
+  const Outcome outcome = RunCommand({Frames(), "--roi", "5,8,78,74", "--reference", "6", "-o", output});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  const Result<SceneRaster> scene = ReadSceneRaster(output, 1'000'000);
+  ASSERT_TRUE(scene.ok()) << scene.status().message();
+  const GdalDatasetPtr dataset = *OpenTiff(output, "scene");
+  EXPECT_STREQ(dataset->GetMetadataItem("REFERENCE_FRAME"), "f106.png");
+  EXPECT_STREQ(dataset->GetMetadataItem("REFERENCE_FRAME_INDEX"), "6");
+  double g[6];
+  ASSERT_EQ(dataset->GetGeoTransform(g), CE_None);
+
+  const Eigen::Vector2d found = FindSpot(scene->intensity);
+  const double pixel = found.x() + 0.5;
+  const double line = found.y() + 0.5;
+  const Eigen::Vector2d corner_based(g[0] + pixel * g[1] + line * g[2], g[3] + pixel * g[4] + line * g[5]);
+  const Eigen::Vector2d expected = views_[6].Inverse() * kSpotInTruth + Eigen::Vector2d(0.5, 0.5);
+  EXPECT_LT((corner_based - expected).norm(), 0.1) << corner_based.transpose() << " for " << expected.transpose();
+  // Grey levels are the source's.
+  EXPECT_NEAR(scene->intensity.at(static_cast<int>(found.x() + 19), static_cast<int>(found.y())), kFlatLevel, 6.0);
+}
+
+TEST_F(EnhanceCommand, LeavesThreeFilesNamedAfterTheOutput) {
+  const TempDir temp;
+  const Outcome outcome = RunCommand({Frames(), "--frames", "2:8", "--json", "-o", (temp / "yard.tif").string()});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_THAT(outcome.out, HasSubstr("\"registered\": 6"));
+  const std::string csv = FileContents(temp / "yard_chain.csv");
+  EXPECT_THAT(csv, HasSubstr("\n2,f102.png,started_scene,,0,"));
+  EXPECT_THAT(csv, HasSubstr("\n7,f107.png,registered,,0,"));
+  EXPECT_EQ(std::count(csv.begin(), csv.end(), '\n'), 7);
+  const cv::Mat picture = cv::imread((temp / "yard_comparison.png").string(), cv::IMREAD_UNCHANGED);
+  ASSERT_FALSE(picture.empty());
+  EXPECT_EQ(picture.rows, 3 * kSide);
+  EXPECT_GT(picture.cols, 2 * 3 * kSide);
+  std::size_t files = 0;
+  for (const auto& entry : fs::directory_iterator(temp.path())) files += entry.is_regular_file() ? 1 : 0;
+  EXPECT_EQ(files, 3U) << "nothing temporary stays";
+}
+
+TEST_F(EnhanceCommand, BadInputHasItsCodeAndMessageAndLeavesNothing) {
+  const struct {
+    std::vector<std::string> more;
+    int code;
+    const char* message;
+  } cases[] = {
+      {{"--track"}, 2, "only a ROI fixed in the sensor"},
+      {{"--roi", "1,2,3"}, 2, "expected x,y,width,height"},
+      {{"--roi", "1,2,30,40,"}, 2, "expected x,y,width,height"},
+      {{"--roi", "-1,2,30,40"}, 2, "expected x,y,width,height"},
+      {{"--roi", "1,2,99999999999,40"}, 2, "expected x,y,width,height"},
+      {{"--roi", "40,40,60,60"}, 3, "is not inside the frames, which are 90 x 90 pixels"},
+      {{"--roi", "0,0,15,40"}, 3, "is 15 x 40 sensor pixels; expected sides of 16 to 1024"},
+      {{"--frames", "7"}, 2, "expected first:end"},
+      {{"--frames", "7:x"}, 2, "expected first:end"},
+      {{"--frames", "7:7"}, 2, "expected first:end"},
+      {{"--frames", "5:11"}, 3, "has 10 frames"},
+      {{"--frames", "0:5000"}, 3, "choose at most 4096"},
+      {{"--frames", "2:6", "--reference", "1"}, 3, "choose one of 2-5"},
+      {{"--set", "tre.ratio=9"}, 3, "tre.ratio"},
+  };
+  for (const auto& bad : cases) {
+    const TempDir temp;
+    std::vector<std::string> arguments = {Frames(), "-o", (temp / "scene.tif").string()};
+    arguments.insert(arguments.end(), bad.more.begin(), bad.more.end());
+    const Outcome outcome = RunCommand(arguments);
+    EXPECT_EQ(outcome.code, bad.code) << bad.message;
+    EXPECT_THAT(outcome.err, HasSubstr(bad.message));
+    EXPECT_TRUE(fs::is_empty(temp.path())) << bad.message;
+  }
+}
+
+TEST_F(EnhanceCommand, SaysWhatIsWrongWithTheSortieOrTheOutput) {
+  const TempDir temp;
+  const Outcome missing = RunCommand({(temp / "missing").string(), "-o", (temp / "scene.tif").string()});
+  EXPECT_EQ(missing.code, 3);
+  EXPECT_THAT(missing.err, HasSubstr("missing"));
+  const Outcome no_folder = RunCommand({Frames(), "-o", (temp / "nowhere" / "scene.tif").string()});
+  EXPECT_EQ(no_folder.code, 3);
+  EXPECT_THAT(no_folder.err, HasSubstr("nowhere"));
+  const Outcome no_tiff = RunCommand({Frames(), "-o", (temp / "scene.png").string()});
+  EXPECT_EQ(no_tiff.code, 3);
+  EXPECT_THAT(no_tiff.err, HasSubstr("ends in .tif"));
+  EXPECT_EQ(RunCommand({}).code, 2);
+  EXPECT_EQ(RunCommand({"--help"}).code, 0);
+}
+
+}  // namespace
+}  // namespace trem

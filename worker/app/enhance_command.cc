@@ -1,0 +1,366 @@
+#include "worker/app/enhance_command.h"
+
+#include <fmt/format.h>
+#include <signal.h>
+#include <stdlib.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <charconv>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "mosaic/base/artefact_store.h"
+#include "mosaic/base/file.h"
+#include "proto/codec/convert.h"
+#include "proto/codec/sortie_spec.h"
+#include "worker/app/enhance_outputs.h"
+#include "worker/app/exit_code.h"
+#include "worker/app/progress_bar.h"
+#include "worker/tasks/task.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kExitInterrupted = 130;
+// Bounds of one run: side of a ROI, frames, and pixels of all the ROIs together (2 GiB of float32).
+constexpr int kRoiSideMin = 16;
+constexpr int kRoiSideMax = 1024;
+constexpr int kFramesMax = 4096;
+constexpr long long kPixelsMax = 1LL << 29;
+constexpr int kNumberMax = 1'000'000'000;
+
+constexpr const char* kExamples =
+    "\nLeaves scene.tif (bands: intensity in grey levels of the source, information; its geotransform leads to sensor pixels of the "
+    "reference frame, from the frame's upper left corner, y down), scene_chain.csv (how every frame was registered) and "
+    "scene_comparison.png (left the reference frame, right the scene).\n"
+    "\nExamples:\n"
+    "  trem enhance flight.ts -o scene.tif                                the centre of the image, the first frames\n"
+    "  trem enhance frames/ --roi 40,30,151,151 --frames 0:60 -o scene.tif\n"
+    "  trem enhance sortie.textproto --set tre.ratio=2 --reference 59 -o scene.tif\n"
+    "\nExit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 130 interrupted\n";
+
+struct FrameRange {
+  int begin = 0;
+  int end = 0;
+};
+
+struct Arguments {
+  std::string sortie;
+  std::optional<Roi> roi;
+  std::optional<FrameRange> frames;
+  std::optional<int> reference;
+  std::vector<std::string> overrides;
+  std::string output;
+  bool json = false;
+  bool quiet = false;
+};
+
+std::atomic<bool> stop_requested{false};
+
+void OnStopSignal(int) { stop_requested = true; }
+
+// While one lives, SIGINT and SIGTERM ask to stop, so that the temporary folder is removed.
+class StopOnSignal {
+ public:
+  StopOnSignal() {
+    stop_requested = false;
+    struct sigaction action = {};
+    action.sa_handler = OnStopSignal;
+    ::sigaction(SIGINT, &action, &interrupt_);
+    ::sigaction(SIGTERM, &action, &terminate_);
+  }
+  ~StopOnSignal() {
+    ::sigaction(SIGINT, &interrupt_, nullptr);
+    ::sigaction(SIGTERM, &terminate_, nullptr);
+  }
+  StopOnSignal(const StopOnSignal&) = delete;
+  StopOnSignal& operator=(const StopOnSignal&) = delete;
+
+ private:
+  struct sigaction interrupt_ = {};
+  struct sigaction terminate_ = {};
+};
+
+// A folder in the system's place for temporary files, removed with its content at the end.
+class ScratchFolder {
+ public:
+  static Result<ScratchFolder> Make() {
+    std::error_code error;
+    std::string name = (fs::temp_directory_path(error) / "trem-enhance-XXXXXX").string();
+    if (error) return Failed("there is no folder for temporary files: " + error.message() + "; set TMPDIR");
+    if (::mkdtemp(name.data()) == nullptr) return FromErrno("cannot make the temporary folder " + name + " (TMPDIR says where)", errno);
+    return ScratchFolder(name);
+  }
+  ScratchFolder(ScratchFolder&& other) noexcept : path_(std::move(other.path_)) { other.path_.clear(); }
+  ScratchFolder& operator=(ScratchFolder&&) = delete;
+  ~ScratchFolder() {
+    std::error_code ignored;
+    if (!path_.empty()) fs::remove_all(path_, ignored);
+  }
+  const fs::path& path() const { return path_; }
+
+ private:
+  explicit ScratchFolder(fs::path path) : path_(std::move(path)) {}
+  fs::path path_;
+};
+
+// Exactly `count` whole numbers, 0 .. kNumberMax, between separators; nothing else.
+std::optional<std::vector<int>> ParseNumbers(std::string_view text, char separator, std::size_t count) {
+  std::vector<int> numbers;
+  const char* at = text.data();
+  const char* const end = text.data() + text.size();
+  while (numbers.size() < count) {
+    if (!numbers.empty() && (at == end || *at++ != separator)) return std::nullopt;
+    int number = 0;
+    const auto [next, error] = std::from_chars(at, end, number);
+    if (error != std::errc{} || number < 0 || number > kNumberMax) return std::nullopt;
+    numbers.push_back(number);
+    at = next;
+  }
+  if (at != end) return std::nullopt;
+  return numbers;
+}
+
+void SetRoi(const std::string& text, Arguments* arguments) {
+  const auto numbers = ParseNumbers(text, ',', 4);
+  if (!numbers) {
+    throw CLI::ValidationError("--roi",
+                               "'" + text + "' is not a rectangle; expected x,y,width,height in sensor pixels, for example 40,30,151,151");
+  }
+  const std::vector<int>& n = *numbers;
+  arguments->roi = Roi{n[0], n[1], n[0] + n[2], n[1] + n[3]};
+}
+
+void SetFrames(const std::string& text, Arguments* arguments) {
+  const auto numbers = ParseNumbers(text, ':', 2);
+  if (!numbers || (*numbers)[0] >= (*numbers)[1]) {
+    throw CLI::ValidationError("--frames",
+                               "'" + text + "' is not a range of frames; expected first:end, end not included, for example 0:60");
+  }
+  arguments->frames = FrameRange{(*numbers)[0], (*numbers)[1]};
+}
+
+Status CheckOutput(const std::string& output) {
+  const fs::path path(output);
+  if (path.extension() != ".tif" && path.extension() != ".tiff") {
+    return InvalidInput("-o " + output + ": the scene is a GeoTIFF; expected a name that ends in .tif");
+  }
+  std::error_code ignored;
+  if (fs::is_directory(path, ignored)) return InvalidInput("-o " + output + " is a folder; expected the name of a file");
+  return CheckWritable(path.parent_path());
+}
+
+// Before anything is read: what cannot be right whatever the sortie holds.
+Status CheckArguments(const Arguments& arguments) {
+  TREM_RETURN_IF_ERROR(CheckOutput(arguments.output));
+  if (arguments.roi) {
+    const Roi& roi = *arguments.roi;
+    if (std::min(roi.width(), roi.height()) < kRoiSideMin || std::max(roi.width(), roi.height()) > kRoiSideMax) {
+      return InvalidInput(fmt::format("--roi: the ROI is {} x {} sensor pixels; expected sides of {} to {}", roi.width(), roi.height(),
+                                      kRoiSideMin, kRoiSideMax));
+    }
+  }
+  if (arguments.frames && arguments.frames->end - arguments.frames->begin > kFramesMax) {
+    return InvalidInput(fmt::format("--frames: {} frames are more than one scene is made from; choose at most {}",
+                                    arguments.frames->end - arguments.frames->begin, kFramesMax));
+  }
+  return {};
+}
+
+// Frames that need not be looked at are not ingested, and telemetry plays no part.
+Result<v1::Sortie> LoadWhatIsNeeded(const Arguments& arguments) {
+  TREM_ASSIGN_OR_RETURN(v1::Sortie sortie, LoadSortie(arguments.sortie, arguments.overrides));
+  const std::uint32_t needed = static_cast<std::uint32_t>(arguments.frames ? arguments.frames->end : kFramesMax);
+  const std::uint32_t asked = sortie.source().max_frames();
+  sortie.mutable_source()->set_max_frames(asked == 0 ? needed : std::min(asked, needed));
+  sortie.mutable_telemetry()->set_ignore(true);
+  return sortie;
+}
+
+Result<v1::TaskResult> RunWithProgress(const std::string& label, bool quiet, const ArtefactStore& store, const v1::TaskSpec& spec) {
+  ProgressBar bar(label, quiet);
+  return RunTask(spec, {&store, [&bar](double fraction) {
+                          bar.Show(fraction);
+                          return !stop_requested;
+                        }});
+}
+
+Result<Roi> ChooseRoi(const Arguments& arguments, const v1::Sortie& sortie, const v1::SortieManifest& manifest) {
+  const Roi sensor{0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
+  if (arguments.roi) {
+    if (sensor.Contains(*arguments.roi)) return *arguments.roi;
+    return InvalidInput(fmt::format("--roi: {} is not inside the frames, which are {} x {} pixels", ToString(*arguments.roi),
+                                    sensor.width(), sensor.height()));
+  }
+  const Roi valid = Intersect(FromProto(manifest.valid_roi()), sensor);
+  const int side = static_cast<int>(sortie.windows().roi_px());
+  const int width = std::min(valid.width(), side);
+  const int height = std::min(valid.height(), side);
+  if (std::min(width, height) < kRoiSideMin) {
+    return InvalidInput(fmt::format("the frames without their black borders are {} x {} pixels; at least {} x {} are needed", valid.width(),
+                                    valid.height(), kRoiSideMin, kRoiSideMin));
+  }
+  const int x0 = valid.x0 + (valid.width() - width) / 2;
+  const int y0 = valid.y0 + (valid.height() - height) / 2;
+  return Roi{x0, y0, x0 + width, y0 + height};
+}
+
+Result<FrameRange> ChooseFrames(const Arguments& arguments, const Roi& roi, const v1::SortieManifest& manifest,
+                                std::vector<std::string>* notes) {
+  const int frame_count = manifest.frames_size();
+  const int affordable = static_cast<int>(std::min<long long>(kFramesMax, kPixelsMax / roi.area()));
+  if (arguments.frames) {
+    const FrameRange& frames = *arguments.frames;
+    if (frames.end > frame_count) {
+      return InvalidInput(fmt::format("--frames {}:{}: {} has {} frames; choose a range in 0:{}", frames.begin, frames.end,
+                                      manifest.source_path(), frame_count, frame_count));
+    }
+    if (frames.end - frames.begin > affordable) {
+      return InvalidInput(
+          fmt::format("--frames: {} frames of a ROI of {} x {} pixels need too much memory; choose at most {} or a smaller --roi",
+                      frames.end - frames.begin, roi.width(), roi.height(), affordable));
+    }
+    return frames;
+  }
+  if (manifest.spans_size() == 0) return InvalidInput(manifest.source_path() + " has no usable run of frames; see trem inspect");
+  FrameRange frames{static_cast<int>(manifest.spans(0).begin()), static_cast<int>(manifest.spans(0).end())};
+  if (frames.end - frames.begin >= affordable) {
+    frames.end = frames.begin + affordable;
+    notes->push_back(fmt::format("only frames {}:{} were used; choose others with --frames", frames.begin, frames.end));
+  }
+  return frames;
+}
+
+struct Outcome {
+  Roi roi;
+  FrameRange frames;
+  EnhanceSummary summary;
+};
+
+Result<Outcome> Enhance(const Arguments& arguments) {
+  TREM_RETURN_IF_ERROR(CheckArguments(arguments));
+  v1::TaskSpec ingest;
+  ingest.set_kind(v1::INGEST);
+  TREM_ASSIGN_OR_RETURN(*ingest.mutable_sortie(), LoadWhatIsNeeded(arguments));
+  TREM_ASSIGN_OR_RETURN(const ScratchFolder scratch, ScratchFolder::Make());
+  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(scratch.path()));
+
+  TREM_ASSIGN_OR_RETURN(const v1::TaskResult ingested, RunWithProgress("reading", arguments.quiet, store, ingest));
+  TREM_CHECK(ingested.outputs_size() == 1);
+  v1::SortieManifest manifest;
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, ingested.outputs(0), &manifest));
+
+  Outcome outcome;
+  std::vector<std::string> notes;
+  for (const v1::Note& note : manifest.notes()) {
+    if (note.severity() == v1::WARNING) notes.push_back(note.message());
+  }
+  TREM_ASSIGN_OR_RETURN(outcome.roi, ChooseRoi(arguments, ingest.sortie(), manifest));
+  TREM_ASSIGN_OR_RETURN(outcome.frames, ChooseFrames(arguments, outcome.roi, manifest, &notes));
+
+  v1::TaskSpec enhance;
+  enhance.set_kind(v1::ENHANCE);
+  enhance.set_seed(ingest.sortie().seed());
+  *enhance.mutable_sortie() = ingest.sortie();
+  *enhance.add_inputs() = ingested.outputs(0);
+  *enhance.mutable_enhance()->mutable_roi_in_sensor() = ToProto(outcome.roi);
+  enhance.mutable_enhance()->set_frame_begin(static_cast<std::uint32_t>(outcome.frames.begin));
+  enhance.mutable_enhance()->set_frame_end(static_cast<std::uint32_t>(outcome.frames.end));
+  TREM_ASSIGN_OR_RETURN(const v1::TaskResult enhanced, RunWithProgress("enhancing", arguments.quiet, store, enhance));
+  TREM_CHECK(enhanced.outputs_size() >= 1);
+  v1::WindowResult window;
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, enhanced.outputs(0), &window));
+  const EnhancedWindow made{&manifest, &window, &store, static_cast<int>(ingest.sortie().tre().ratio())};
+  TREM_ASSIGN_OR_RETURN(outcome.summary, PublishEnhancedScene(made, arguments.reference, arguments.output));
+  outcome.summary.notes.insert(outcome.summary.notes.begin(), notes.begin(), notes.end());
+  return outcome;
+}
+
+void PrintJson(const Outcome& outcome) {
+  const EnhanceSummary& s = outcome.summary;
+  nlohmann::ordered_json json;
+  json["roi"] = {outcome.roi.x0, outcome.roi.y0, outcome.roi.width(), outcome.roi.height()};
+  json["frames"] = {{"begin", outcome.frames.begin},
+                    {"end", outcome.frames.end},
+                    {"registered", s.registered_count},
+                    {"lost", s.lost_count},
+                    {"skipped", s.skipped_count}};
+  json["segments"] = s.segment_count;
+  json["reference"] = {{"index", s.reference_index}, {"frame", s.reference_name}};
+  json["noise_sigma"] = s.noise_sigma;
+  for (const fs::path& path : s.outputs) json["outputs"].push_back(path.string());
+  json["notes"] = s.notes;
+  fmt::print("{}\n", json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
+}
+
+void PrintSummary(const Outcome& outcome) {
+  const EnhanceSummary& s = outcome.summary;
+  fmt::print("{}: ROI {} of frames {}:{}, {} of {} registered ({} lost, {} skipped), reference frame {} ({})\n", s.outputs[0].string(),
+             ToString(outcome.roi), outcome.frames.begin, outcome.frames.end, s.registered_count, s.frame_count, s.lost_count,
+             s.skipped_count, s.reference_index, s.reference_name);
+  fmt::print("beside it: {}, {}\n", s.outputs[1].filename().string(), s.outputs[2].filename().string());
+}
+
+void Declare(CLI::App* app, Arguments* arguments) {
+  app->add_option("SORTIE", arguments->sortie, "A video, a folder or glob of images, or a spec (.textproto, .json)")->required();
+  app->add_option("-o,--output", arguments->output, "The scene to write, *.tif; its siblings go beside it")->required();
+  app->add_option_function<std::string>(
+         "--roi", [arguments](const std::string& text) { SetRoi(text, arguments); },
+         "x,y,width,height in sensor pixels, fixed in the sensor. Default: the image's centre, windows.roi_px a side")
+      ->type_name("X,Y,W,H");
+  app->add_option_function<std::string>(
+         "--frames", [arguments](const std::string& text) { SetFrames(text, arguments); },
+         "first:end, counted from 0, end not included. Default: all up to the first cut or gap")
+      ->type_name("A:B");
+  app->add_option("--reference", arguments->reference, "Index of the frame whose pixels the scene is related to. Default: the last one")
+      ->check(CLI::Range(0, kNumberMax))
+      ->type_name("N");
+  app->add_option("--set", arguments->overrides, "Change a field of the spec, for example tre.ratio=2; may be repeated")
+      ->type_name("FIELD=VALUE")
+      ->allow_extra_args(false);
+  app->add_flag("--json", arguments->json, "Print one JSON object on stdout at the end");
+  app->add_flag("-q,--quiet", arguments->quiet, "No progress and no summary; warnings and errors stay");
+  app->footer(kExamples);
+}
+
+}  // namespace
+
+int RunEnhanceCommand(int argc, char** argv) {
+  if (std::any_of(argv + std::min(argc, 1), argv + argc, [](const char* text) { return std::string_view(text) == "--track"; })) {
+    fmt::print(stderr,
+               "trem enhance: --track: a target cannot be followed; so far only a ROI fixed in the sensor (--roi) can be enhanced\n");
+    return kExitUsage;
+  }
+  Arguments arguments;
+  CLI::App app("Enhances the resolution of one ROI, fixed in the sensor, from many frames.", "trem enhance");
+  Declare(&app, &arguments);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? 0 : kExitUsage;
+  }
+  const StopOnSignal stop_on_signal;
+  const Result<Outcome> outcome = Enhance(arguments);
+  if (!outcome.ok()) {
+    fmt::print(stderr, "trem enhance: {}\n", outcome.status().message());
+    return stop_requested ? kExitInterrupted : ExitCodeOf(outcome.status());
+  }
+  for (const std::string& note : outcome->summary.notes) fmt::print(stderr, "note: {}\n", note);
+  if (arguments.json) {
+    PrintJson(*outcome);
+  } else if (!arguments.quiet) {
+    PrintSummary(*outcome);
+  }
+  return 0;
+}
+
+}  // namespace trem

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "mosaic/base/artefact_store.h"
+#include "mosaic/base/status.h"
+#include "proto/trem/v1/task.pb.h"
+
+namespace trem {
+
+// What the outputs of `trem enhance` are made from.
+struct EnhancedWindow {
+  const v1::SortieManifest* manifest = nullptr;
+  const v1::WindowResult* window = nullptr;
+  const ArtefactStore* store = nullptr;  // Holds the window's scene rasters.
+  int ratio = 3;                         // Scene cells per sensor pixel.
+};
+
+struct EnhanceSummary {
+  int reference_index = 0;
+  std::string reference_name;
+  int frame_count = 0;
+  int registered_count = 0;  // Started scenes included.
+  int lost_count = 0;
+  int skipped_count = 0;
+  int segment_count = 0;
+  double noise_sigma = 0.0;                    // Grey levels of the source.
+  std::vector<std::filesystem::path> outputs;  // The scene first.
+  std::vector<std::string> notes;
+};
+
+// Where the files go: STEM.tif as asked for, STEM_chain.csv and STEM_comparison.png beside it.
+std::vector<std::filesystem::path> EnhanceOutputPaths(const std::filesystem::path& scene_path);
+
+// Publishes the last scene of the window's last segment, atomically, the scene itself last:
+//
+//   scene        bands intensity [grey levels of the source; NaN: never seen] and information [about how many frames]. Its geotransform
+//                maps to sensor pixels of the reference frame, corner-based: x right, y down, (0, 0) the frame's upper left corner.
+//   chain        one row per frame and segment: status, scene_from_sensor, gain, offset, residuals
+//   comparison   left the reference frame's ROI enlarged bicubically, right the scene in the same view, in the same stretch of grey
+//
+// `reference` is a manifest index (none: the last frame of that segment). kInvalidInput names the frames to choose from when it is not
+// registered there; kFailed when the window has no scene at all.
+Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std::optional<int> reference,
+                                            const std::filesystem::path& scene_path);
+
+}  // namespace trem
