@@ -351,8 +351,12 @@ int RunEnhanceCommand(int argc, char** argv) {
   const StopOnSignal stop_on_signal;
   const Result<Outcome> outcome = Enhance(arguments);
   if (!outcome.ok()) {
+    if (stop_requested) {
+      fmt::print(stderr, "trem enhance: interrupted; nothing was written\n");
+      return kExitInterrupted;
+    }
     fmt::print(stderr, "trem enhance: {}\n", outcome.status().message());
-    return stop_requested ? kExitInterrupted : ExitCodeOf(outcome.status());
+    return ExitCodeOf(outcome.status());
   }
   for (const std::string& note : outcome->summary.notes) fmt::print(stderr, "note: {}\n", note);
   if (arguments.json) {
