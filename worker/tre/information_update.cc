@@ -12,6 +12,8 @@ void FitSize(const Image<float>& like, Image<float>* image) {
   if (image->width() != like.width() || image->height() != like.height()) *image = Image<float>(like.width(), like.height());
 }
 
+Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
+
 }  // namespace
 
 void InformationUpdate::AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const {
@@ -73,19 +75,19 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, int ratio, fl
   FitSize(buffer->scene, &extrapolated_);
   FitSize(buffer->scene, &residual_);
   FitSize(buffer->scene, &gradient_);
-  // B of the extrapolated scene near the region's border reads cells beyond it; they are the unmoved scene.
-  const int radius = blur_.psf().radius();
-  const Roi context = Intersect({inner.x0 - radius, inner.y0 - radius, inner.x1 + radius, inner.y1 + radius},
-                                {0, 0, buffer->scene.width(), buffer->scene.height()});
+  // The gradient in the region reads residuals a radius beyond it, and those read the scene a radius further; there it stays unmoved.
+  const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
+  const Roi context = Intersect(Grown(inner, blur_.psf().radius()), whole);
+  const Roi support = Intersect(Grown(inner, 2 * blur_.psf().radius()), whole);
   const float curvature = lambda * StructurePrior::kCurvatureMax;
   const float inverse_ratio2 = 1.0F / static_cast<float>(ratio * ratio);
   for (int iteration = 0; iteration < iterations; ++iteration, ++steps_) {
     const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
-    for (int y = context.y0; y < context.y1; ++y) {
+    for (int y = support.y0; y < support.y1; ++y) {
       const float* now = buffer->scene.row(y);
       const float* before = buffer->previous.row(y);
       float* out = extrapolated_.row(y);
-      std::copy(now + context.x0, now + context.x1, out + context.x0);
+      std::copy(now + support.x0, now + support.x1, out + support.x0);
       if (y < inner.y0 || y >= inner.y1) continue;
       for (int x = inner.x0; x < inner.x1; ++x) out[x] += momentum * (now[x] - before[x]);
     }
