@@ -17,7 +17,7 @@ constexpr int kSnapshotIterations = 12;
 // 1 + 1 / (kGrowth - 1) snapshots.
 constexpr double kGrowth = 1.5;
 // Cells seen by less than this many frames hold mostly invented values: refilled while unseen, left out of snapshots.
-constexpr float kSeenMin = 0.3F;
+constexpr float kSeenMin = 0.5F;
 // Frames after which a cell is settled enough to register to.
 constexpr float kSettledFrames = 2.5F;
 // Further iterations on ground that came into view with this frame.
@@ -122,7 +122,7 @@ float Segment::Lambda(const Roi& region, double noise_sigma) const {
     }
   }
   const double frames = count > 0 ? sum / static_cast<double>(count) : 0.0;
-  return static_cast<float>(options_.structure_weight * 0.025 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
+  return static_cast<float>(options_.structure_weight * 0.0125 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
 }
 
 void Segment::Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations) {
@@ -193,9 +193,14 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   const Roi needed = Footprint(registration.view.scene_from_sensor);
   if (!buffer_.extent.Contains(needed)) {
     Roi grown = RoundedOut(Union(buffer_.extent, needed), 16);
-    if (grown.width() > kGrowth * needed.width() || grown.height() > kGrowth * needed.height()) {
+    const bool too_wide = grown.width() > kGrowth * needed.width();
+    const bool too_high = grown.height() > kGrowth * needed.height();
+    if (too_wide || too_high) {
       TREM_RETURN_IF_ERROR(EmitSnapshot(noise_sigma, emit));
-      grown = RoundedOut(needed, 16);
+      // What lies behind is dropped along the axis of motion only: ground that the ROI sways over stays.
+      const Roi kept = RoundedOut(needed, 16);
+      if (too_wide) grown = {kept.x0, grown.y0, kept.x1, grown.y1};
+      if (too_high) grown = {grown.x0, kept.y0, grown.x1, kept.y1};
     }
     buffer_.MoveTo(grown);
   }
@@ -214,6 +219,8 @@ void Segment::SkipFrame(const FrameInput& frame) {
 }
 
 Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
+  // Cells that came into the buffer beside seen ones, or lost neighbours to a move, have a stale count: it is the steps' majoriser.
+  update_.UpdateSeen(buffer_.extent, options_.ratio, &buffer_);
   update_.Iterate(buffer_.extent, kSnapshotIterations, options_.ratio, Lambda(buffer_.extent, noise_sigma), &buffer_);
   SceneSnapshot snapshot;
   snapshot.extent = buffer_.extent;
