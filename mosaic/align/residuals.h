@@ -131,7 +131,7 @@ struct ContentResidual {
   }
 };
 
-// A camera's deviation from its telemetry, less the shared bias: 6 residuals.
+// A camera's deviation from its telemetry, less the shared errors of position [m] and attitude [rad]: 6 residuals.
 struct CameraPrior {
   Eigen::Vector3d position_offset_m;   // Current position minus telemetry's.
   Eigen::Quaterniond camera_rotation;  // telemetry_camera_from_current_camera.
@@ -139,7 +139,7 @@ struct CameraPrior {
   double attitude_sigma_rad = 1.0;
 
   template <typename T>
-  bool operator()(const T* p, const T* bias, T* residuals) const {
+  bool operator()(const T* p, const T* position_bias, const T* attitude_bias, T* residuals) const {
     T step[4];
     ceres::AngleAxisToQuaternion(p + 3, step);
     const T current[4] = {T(camera_rotation.w()), T(camera_rotation.x()), T(camera_rotation.y()), T(camera_rotation.z())};
@@ -148,8 +148,8 @@ struct CameraPrior {
     T angle[3];
     ceres::QuaternionToAngleAxis(total, angle);
     for (int k = 0; k < 3; ++k) {
-      residuals[k] = (position_offset_m(k) + p[k] - bias[k]) / position_sigma_m;
-      residuals[3 + k] = (angle[k] - bias[3 + k]) / attitude_sigma_rad;
+      residuals[k] = (position_offset_m(k) + p[k] - position_bias[k]) / position_sigma_m;
+      residuals[3 + k] = (angle[k] - attitude_bias[k]) / attitude_sigma_rad;
     }
     return true;
   }
@@ -163,10 +163,10 @@ struct CornerPrior {
   double sigma_px = 1.0;
 
   template <typename T>
-  bool operator()(const T* d, const T* bias, T* residuals) const {
+  bool operator()(const T* d, const T* position_bias, T* residuals) const {
     for (int k = 0; k < 4; ++k) {
       const auto point = static_cast<std::size_t>(k);
-      const Eigen::Matrix<T, 2, 1> x(x_in_world[point].x() + bias[0], x_in_world[point].y() + bias[1]);
+      const Eigen::Matrix<T, 2, 1> x(x_in_world[point].x() + position_bias[0], x_in_world[point].y() + position_bias[1]);
       Eigen::Matrix<T, 2, 1> seen;
       if (!projection(d, x, &seen)) return false;
       residuals[2 * k] = (seen(0) - u[point].x()) / sigma_px;
