@@ -176,7 +176,9 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.prior = Predict(frame);
   request.method = options_.registration;
   const bool measured = frame.previous_from_current.has_value();
-  request.motion_px_max = measured ? 6.0 + 2.0 * skipped_ : 0.35 * std::min(roi_.width(), roi_.height());
+  // Whole-image motion is an affine map from reduced images: the longer the hop, the more a ROI may differ from it.
+  const double hop_px = LargestCornerMotion(view_.scene_from_sensor, request.prior.mean.scene_from_sensor, roi_);
+  request.motion_px_max = measured ? 6.0 + 2.0 * skipped_ + 0.1 * hop_px : 0.35 * std::min(roi_.width(), roi_.height());
   View still = view_;
   request.candidates.push_back(still);
   still.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * previous_from_current_;
