@@ -178,8 +178,10 @@ int RunRunCommand(const RunOptions& options) {
   state.elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
   const bool interrupted = !status.ok() && InterruptSignal() != 0;
   const int exit_code = interrupted ? kExitSignalBase + InterruptSignal() : ExitCodeOf(status.code());
-  const std::string resume =
-      state.work_folder_is_left ? "; the same command resumes (kept in " + state.work_folder.string() + ")" : std::string();
+  // After invalid input the same command would fail the same way.
+  const std::string kept = exit_code == kExitInvalidInput ? "; what was computed so far is kept in " + state.work_folder.string()
+                                                          : "; the same command resumes (kept in " + state.work_folder.string() + ")";
+  const std::string resume = state.work_folder_is_left ? kept : std::string();
   if (interrupted) {
     PrintError("interrupted" + resume);
   } else if (!status.ok()) {

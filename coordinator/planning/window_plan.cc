@@ -45,7 +45,8 @@ Status CheckIngest(const v1::IngestSummary& ingest, const Roi& valid_roi) {
     previous_end = span.end();
   }
   if (ingest.spans().empty()) {
-    return InvalidInput("the sortie has no usable frame among its " + std::to_string(ingest.frame_count()) + " frames");
+    return InvalidInput("the sortie has no usable frame that fits its neighbour among its " + std::to_string(ingest.frame_count()) +
+                        " frames; at least two successive ones are needed (`trem inspect` says what was found)");
   }
   return {};
 }

@@ -23,6 +23,7 @@
 #include "worker/app/enhance_outputs.h"
 #include "worker/app/exit_code.h"
 #include "worker/app/progress_bar.h"
+#include "worker/app/usage.h"
 #include "worker/tasks/task.h"
 
 namespace trem {
@@ -346,7 +347,7 @@ int RunEnhanceCommand(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitUsage;
+    return ExitOfParseError(&app, error);
   }
   const StopOnSignal stop_on_signal;
   const Result<Outcome> outcome = Enhance(arguments);

@@ -14,6 +14,7 @@
 #include "worker/app/exit_code.h"
 #include "worker/app/progress_bar.h"
 #include "worker/app/sortie_report.h"
+#include "worker/app/usage.h"
 #include "worker/sortie/ingest.h"
 
 namespace trem {
@@ -68,12 +69,12 @@ int RunInspectCommand(int argc, char** argv) {
   app.add_option("--set", arguments.overrides, "Override a field of the spec, for example source.max_frames=100")->allow_extra_args(false);
   app.add_option("--manifest", arguments.manifest_path, "Write the manifest (protobuf trem.v1.SortieManifest) to this file too");
   app.add_flag("--json", arguments.json, "Print the report as JSON");
-  app.add_flag("--quiet", arguments.quiet, "No progress");
+  app.add_flag("-q,--quiet", arguments.quiet, "No progress");
   app.footer(kExamples);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitUsage;
+    return ExitOfParseError(&app, error);
   }
   const Status status = Inspect(arguments);
   if (!status.ok()) fmt::print(stderr, "trem inspect: {}\n", status.message());

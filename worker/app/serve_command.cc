@@ -17,6 +17,7 @@
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/log.h"
 #include "worker/app/exit_code.h"
+#include "worker/app/usage.h"
 #include "worker/app/worker_loop.h"
 #include "worker/tasks/task.h"
 
@@ -107,7 +108,7 @@ int RunServeCommand(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitUsage;
+    return ExitOfParseError(&app, error);
   }
   ConfigureLog("trem-worker " + std::to_string(::getpid()), options.log_level);
   InstallSignalHandlers();

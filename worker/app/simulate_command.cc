@@ -11,6 +11,7 @@
 #include <string>
 
 #include "worker/app/exit_code.h"
+#include "worker/app/usage.h"
 #include "worker/simulate/simulation.h"
 
 namespace trem {
@@ -59,7 +60,14 @@ void AddFlightOptions(CLI::App* app, SimulationOptions* o) {
       {"line", SimulatedPath::kLine}, {"lawnmower", SimulatedPath::kLawnmower}, {"dwell", SimulatedPath::kDwell}};
   app->add_option("--frames", o->frame_count, "Exposures")->group(group);
   app->add_option("--path", o->path, "line, lawnmower or dwell")
-      ->transform(CLI::CheckedTransformer(kPaths).description(""))
+      ->transform(CLI::Validator(
+          [](std::string& text) -> std::string {
+            const auto found = kPaths.find(text);
+            if (found == kPaths.end()) return "'" + text + "' is not a path; expected line, lawnmower or dwell";
+            text = std::to_string(static_cast<int>(found->second));
+            return {};
+          },
+          ""))
       ->default_str("line")
       ->group(group);
   app->add_option("--pitch-deg", o->pitch_deg, "Elevation of the optical axis: -90 (down) to -30")->group(group);
@@ -97,7 +105,7 @@ void Declare(CLI::App* app, Arguments* a) {
   app->add_option("--seed", a->options.seed, "Of every random stream");
   app->add_option("--threads", a->options.thread_count, "0: all cores; the result is the same for any number");
   app->add_flag("--overwrite", a->options.overwrite, "Replace a former simulation in the folder");
-  app->add_flag("--quiet", a->quiet, "No progress");
+  app->add_flag("-q,--quiet", a->quiet, "No progress");
   app->add_flag("--json", a->json, "Print the summary as JSON");
   AddSensorOptions(app, &a->options);
   AddFlightOptions(app, &a->options);
@@ -152,7 +160,7 @@ int RunSimulateCommand(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitUsage;
+    return ExitOfParseError(&app, error);
   }
   Progress progress;
   const Result<SimulationSummary> summary = Simulate(arguments.options, arguments.directory, [&](int done, int total) {

@@ -49,6 +49,17 @@ std::vector<std::string> Small(const fs::path& directory, const std::vector<std:
   return arguments;
 }
 
+TEST(SimulateCommand, NamesThePathsThatThereAre) {
+  const TempDir temp;
+  for (const char* path : {"line", "lawnmower", "dwell"}) {
+    EXPECT_EQ(RunCommand(Small(temp / path, {"--path", path, "--sidelap", "0.6", "--frames", "40"})).code, 0) << path;
+  }
+  const Outcome outcome = RunCommand(Small(temp / "sortie", {"--path", "zigzag"}));
+  EXPECT_EQ(outcome.code, 2);
+  EXPECT_EQ(outcome.err, "trem simulate: --path: 'zigzag' is not a path; expected line, lawnmower or dwell. See 'trem simulate --help'\n");
+  EXPECT_FALSE(fs::exists(temp / "sortie"));
+}
+
 TEST(SimulateCommand, LeavesFramesTelemetryTruthAndASpec) {
   const TempDir temp;
   const Outcome outcome = RunCommand(Small(temp / "sortie"));

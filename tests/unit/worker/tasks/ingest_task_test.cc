@@ -50,5 +50,25 @@ TEST(IngestTask, StoresTheSameManifestTwice) {
   EXPECT_EQ(SerializeDeterministic(*first), SerializeDeterministic(*second));
 }
 
+TEST(IngestTask, RefusesACrsOfNoUseBeforeItReadsTheSource) {
+  const testing::TempDir folder;
+  const auto store = ArtefactStore::Open(folder / "store");
+  ASSERT_TRUE(store.ok());
+  TaskContext context;
+  context.store = &*store;
+  context.progress = [](double) { return true; };
+  for (const std::string crs : {"EPSG:4326", "EPSG:123456789"}) {
+    v1::TaskSpec spec;
+    spec.set_kind(v1::INGEST);
+    spec.mutable_sortie()->mutable_source()->set_path((folder / "not-there").string());
+    spec.mutable_sortie()->mutable_mosaic()->set_crs(crs);
+    const auto result = RunIngestTask(spec, context);
+    ASSERT_FALSE(result.ok());
+    EXPECT_EQ(result.status().code(), StatusCode::kInvalidInput);
+    EXPECT_NE(result.status().message().find("mosaic.crs"), std::string::npos) << result.status().message();
+    EXPECT_NE(result.status().message().find(crs), std::string::npos) << result.status().message();
+  }
+}
+
 }  // namespace
 }  // namespace trem
