@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <nlohmann/json.hpp>
+#include <ostream>
 
 #include "tests/e2e/run_fixture.h"
 
@@ -22,6 +23,9 @@ struct Scenario {
   std::vector<std::string> simulation;
   std::vector<std::string> run;
 };
+
+// Without it a failing test, and ctest's list, would show the bytes of the struct.
+void PrintTo(const Scenario& scenario, std::ostream* out) { *out << scenario.name; }
 
 class SimulatedSortie : public ::testing::TestWithParam<Scenario> {};
 

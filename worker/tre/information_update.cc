@@ -14,6 +14,20 @@ void FitSize(const Image<float>& like, Image<float>* image) {
 
 Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
 
+// Cells beyond the last samples of many frames of a fixed camera are fitted through the PSF's tails, but not determined by the data: what
+// they hold is amplified noise. They count as not seen when less than this part of the samples about them lies within half a sensor
+// pixel. Where few frames were seen, samples are sparse and the test would punch holes.
+constexpr float kManyFrames = 3.0F;
+constexpr float kNearPartMin = 0.25F;
+
+float NearWeight(const Image<float>& weight, int x, int y, int reach) {
+  float sum = 0.0F;
+  for (int j = std::max(y - reach, 0); j <= std::min(y + reach, weight.height() - 1); ++j) {
+    for (int i = std::max(x - reach, 0); i <= std::min(x + reach, weight.width() - 1); ++i) sum += weight.at(i, j);
+  }
+  return sum;
+}
+
 }  // namespace
 
 void InformationUpdate::AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const {
@@ -57,11 +71,34 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
 
 void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
-  blur_.Apply(buffer->weight, inner, &buffer->seen);
-  const float scale = static_cast<float>(ratio * ratio);
+  blur_.Apply(buffer->weight, inner, &buffer->majoriser);
+  // Tents one sensor pixel wide to either side: the samples of one frame add up to 1 everywhere inside its ROI.
+  FitSize(buffer->weight, &row_sums_);
+  const Roi whole{0, 0, buffer->weight.width(), buffer->weight.height()};
+  const Roi rows = Intersect(Grown(inner, ratio - 1), whole);
+  const float scale = 1.0F / static_cast<float>(ratio * ratio);
+  for (int y = rows.y0; y < rows.y1; ++y) {
+    const float* weight = buffer->weight.row(y);
+    float* sums = row_sums_.row(y);
+    for (int x = inner.x0; x < inner.x1; ++x) {
+      float sum = 0.0F;
+      const int first = std::max(x - ratio + 1, 0);
+      const int last = std::min(x + ratio - 1, whole.x1 - 1);
+      for (int i = first; i <= last; ++i) sum += static_cast<float>(ratio - std::abs(x - i)) * weight[i];
+      sums[x] = sum;
+    }
+  }
   for (int y = inner.y0; y < inner.y1; ++y) {
     float* seen = buffer->seen.row(y);
-    for (int x = inner.x0; x < inner.x1; ++x) seen[x] *= scale;
+    std::fill(seen + inner.x0, seen + inner.x1, 0.0F);
+    for (int j = std::max(y - ratio + 1, 0); j <= std::min(y + ratio - 1, whole.y1 - 1); ++j) {
+      const float* sums = row_sums_.row(j);
+      const float tent = scale * static_cast<float>(ratio - std::abs(y - j));
+      for (int x = inner.x0; x < inner.x1; ++x) seen[x] += tent * sums[x];
+    }
+    for (int x = inner.x0; x < inner.x1; ++x) {
+      if (seen[x] >= kManyFrames && NearWeight(buffer->weight, x, y, ratio / 2) < kNearPartMin * seen[x]) seen[x] = 0.0F;
+    }
   }
 }
 
@@ -69,7 +106,7 @@ void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
   blur_.Apply(buffer->scene, buffer->InBuffer(region), &buffer->prediction);
 }
 
-void InformationUpdate::Iterate(const Roi& region, int iterations, int ratio, float lambda, SceneBuffer* buffer) {
+void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
   if (inner.empty()) return;
   FitSize(buffer->scene, &extrapolated_);
@@ -80,7 +117,6 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, int ratio, fl
   const Roi context = Intersect(Grown(inner, blur_.psf().radius()), whole);
   const Roi support = Intersect(Grown(inner, 2 * blur_.psf().radius()), whole);
   const float curvature = lambda * StructurePrior::kCurvatureMax;
-  const float inverse_ratio2 = 1.0F / static_cast<float>(ratio * ratio);
   for (int iteration = 0; iteration < iterations; ++iteration, ++steps_) {
     const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
     for (int y = support.y0; y < support.y1; ++y) {
@@ -102,13 +138,13 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, int ratio, fl
     options_.prior.AddGradient(extrapolated_, inner, lambda, &gradient_);
     for (int y = inner.y0; y < inner.y1; ++y) {
       const float* g = gradient_.row(y);
-      const float* seen = buffer->seen.row(y);
+      const float* majoriser = buffer->majoriser.row(y);
       const float* start = extrapolated_.row(y);
       float* now = buffer->scene.row(y);
       float* before = buffer->previous.row(y);
       for (int x = inner.x0; x < inner.x1; ++x) {
         before[x] = now[x];
-        now[x] = start[x] - g[x] / (seen[x] * inverse_ratio2 + curvature + 1e-6F);
+        now[x] = start[x] - g[x] / (majoriser[x] + curvature + 1e-6F);
       }
     }
   }

@@ -30,11 +30,11 @@ class InformationUpdate {
   // Splats every pixel of `observation` to its nearest cell of `buffer`. `lambda`-independent. Pixels that are NaN or fall outside the
   // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
   void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
-  // Recomputes buffer->seen on `region` (scene plane).
+  // Recomputes buffer->majoriser and buffer->seen on `region` (scene plane).
   void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
   // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
   // last AddFrame.
-  void Iterate(const Roi& region, int iterations, int ratio, float lambda, SceneBuffer* buffer);
+  void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // buffer->prediction = B S on `region`.
   void Predict(const Roi& region, SceneBuffer* buffer);
 
@@ -45,6 +45,7 @@ class InformationUpdate {
   Image<float> extrapolated_;
   Image<float> residual_;
   Image<float> gradient_;
+  Image<float> row_sums_;
 };
 
 }  // namespace trem

@@ -7,13 +7,13 @@ namespace trem {
 
 SceneBuffer::SceneBuffer(const Roi& extent_in_scene) : extent(extent_in_scene) {
   const Image<float> blank(extent.width(), extent.height());
-  scene = previous = weight = weighted = prediction = seen = blank;
+  scene = previous = weight = weighted = prediction = filled = majoriser = seen = blank;
 }
 
 void SceneBuffer::MoveTo(const Roi& new_extent) {
   if (new_extent == extent) return;
   const Roi kept = Intersect(extent, new_extent);
-  const std::array<Image<float>*, 6> planes = {&scene, &previous, &weight, &weighted, &prediction, &seen};
+  const std::array<Image<float>*, 8> planes = {&scene, &previous, &weight, &weighted, &prediction, &filled, &majoriser, &seen};
   for (Image<float>* plane : planes) {
     Image<float> moved(new_extent.width(), new_extent.height());
     for (int y = kept.y0; y < kept.y1; ++y) {

@@ -13,7 +13,13 @@ struct SceneBuffer {
   Image<float> weight;       // W: accumulated weight of the samples splatted to each cell, 1 a sample of unit gain.
   Image<float> weighted;     // Z: accumulated weight * value.
   Image<float> prediction;   // B S.
-  Image<float> seen;         // ratio^2 * (B W): about how many frames have seen the surroundings of each cell; 0: none.
+  Image<float> filled;       // Where the scene's first value came from: one of the constants below.
+  Image<float> majoriser;    // B W: the data term's curvature bound (see InformationUpdate).
+  Image<float> seen;         // Weight of the samples within a sensor pixel: about how many frames have seen each cell; 0: none.
+
+  static constexpr float kNotFilled = 0.0F;
+  static constexpr float kContinued = 1.0F;  // A frame's border value, continued beyond its ROI.
+  static constexpr float kMeasured = 2.0F;   // A frame's own value there.
 
   explicit SceneBuffer(const Roi& extent_in_scene);
   // Moves the extent by whole cells (no resampling); cells that come in are zero with no weight, cells that leave are gone.

@@ -16,8 +16,8 @@ constexpr int kSnapshotIterations = 12;
 // The buffer may grow to this multiple of the ROI's footprint before a snapshot is taken: a piece of ground is then in about
 // 1 + 1 / (kGrowth - 1) snapshots.
 constexpr double kGrowth = 1.5;
-// Cells seen by less than this many frames hold mostly invented values: refilled while unseen, left out of snapshots.
-constexpr float kSeenMin = 0.5F;
+// Cells seen by less than this many frames hold mostly invented values: left out of snapshots.
+constexpr float kSeenMin = 0.4F;
 // Frames after which a cell is settled enough to register to.
 constexpr float kSettledFrames = 2.5F;
 // Further iterations on ground that came into view with this frame.
@@ -96,12 +96,16 @@ void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& r
   const double y_max = frame.pixels.height() - 2.001;
   for (int y = inner.y0; y < inner.y1; ++y) {
     for (int x = inner.x0; x < inner.x1; ++x) {
-      if (buffer_.seen.at(x, y) >= kSeenMin) continue;
+      if (buffer_.filled.at(x, y) == SceneBuffer::kMeasured) continue;
       const Eigen::Vector2d sensor = sensor_from_scene * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);
       const double u = std::clamp(sensor.x() - roi_.x0, 1.0, x_max);
       const double v = std::clamp(sensor.y() - roi_.y0, 1.0, y_max);
+      const bool inside = std::abs(sensor.x() - roi_.x0 - u) <= 1.5 && std::abs(sensor.y() - roi_.y0 - v) <= 1.5;
+      const float source = inside ? SceneBuffer::kMeasured : SceneBuffer::kContinued;
+      if (buffer_.filled.at(x, y) == source) continue;
       const float sample = SampleCubic(frame.pixels, u, v);
       if (std::isnan(sample)) continue;
+      buffer_.filled.at(x, y) = source;
       const float value = (sample - static_cast<float>(view.offset)) / static_cast<float>(view.gain);
       buffer_.scene.at(x, y) = value;
       buffer_.previous.at(x, y) = value;
@@ -133,9 +137,9 @@ void Segment::Update(const FrameInput& frame, const View& view, double noise_sig
   update_.UpdateSeen(region, options_.ratio, &buffer_);
   const float lambda = Lambda(region, noise_sigma);
   if (frame_count_ > 0) {
-    for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, options_.ratio, lambda, &buffer_);
+    for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, lambda, &buffer_);
   }
-  update_.Iterate(region, iterations, options_.ratio, lambda, &buffer_);
+  update_.Iterate(region, iterations, lambda, &buffer_);
   last_region_ = region;
   ++frame_count_;
   last_added_ = frame.frame_index;
@@ -223,7 +227,7 @@ void Segment::SkipFrame(const FrameInput& frame) {
 Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
   // Cells that came into the buffer beside seen ones, or lost neighbours to a move, have a stale count: it is the steps' majoriser.
   update_.UpdateSeen(buffer_.extent, options_.ratio, &buffer_);
-  update_.Iterate(buffer_.extent, kSnapshotIterations, options_.ratio, Lambda(buffer_.extent, noise_sigma), &buffer_);
+  update_.Iterate(buffer_.extent, kSnapshotIterations, Lambda(buffer_.extent, noise_sigma), &buffer_);
   SceneSnapshot snapshot;
   snapshot.extent = buffer_.extent;
   snapshot.intensity = buffer_.scene;

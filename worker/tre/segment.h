@@ -33,7 +33,8 @@ class Segment {
   Roi Footprint(const Affine& scene_from_sensor) const;
   // Where the next frame is expected: whole-image motion when known, else constant velocity.
   ViewPrior Predict(const FrameInput& frame) const;
-  // Gives cells of `region` that no frame has seen the bicubic value of this frame (continued at the ROI's border).
+  // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
+  // Never again after that: cells at the border that are reset with every frame would force overshoot on their neighbours.
   void FillUnseen(const FrameInput& frame, const View& view, const Roi& region);
   void Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations);
   float Lambda(const Roi& region, double noise_sigma) const;

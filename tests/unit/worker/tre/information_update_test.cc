@@ -84,7 +84,7 @@ TEST(InformationUpdate, AStepWithoutMomentumNeverIncreasesTheObjective) {
       const double start = Objective(buffer, options.prior, lambda);
       double before = start;
       for (int step = 0; step < 30; ++step) {
-        update.Iterate(kPlane, 1, kRatio, lambda, &buffer);
+        update.Iterate(kPlane, 1, lambda, &buffer);
         const double after = Objective(buffer, options.prior, lambda);
         ASSERT_LE(after, before * (1.0 + 1e-5)) << "step " << step << " lambda " << lambda;
         before = after;
@@ -101,7 +101,7 @@ TEST(InformationUpdate, MomentumGetsFurtherInTheSameSteps) {
     options.momentum_max = k == 0 ? 0.0 : 0.9;
     InformationUpdate update(Blur(Psf()), options);
     SceneBuffer buffer = BufferWithFrames(&update);
-    update.Iterate(kPlane, 30, kRatio, 0.02F, &buffer);
+    update.Iterate(kPlane, 30, 0.02F, &buffer);
     reached[k] = Objective(buffer, options.prior, 0.02);
   }
   EXPECT_LT(reached[1], reached[0]);

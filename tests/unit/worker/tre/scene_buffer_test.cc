@@ -13,7 +13,8 @@ TEST(SceneBuffer, MoveToKeepsWhatStaysAndClearsWhatComesIn) {
   const Roi before{-10, 5, 20, 25};
   for (const Roi& after : {Roi{-10, 5, 20, 25}, Roi{-4, 0, 33, 19}, Roi{-30, -30, 40, 40}, Roi{0, 10, 5, 12}, Roi{100, 100, 120, 110}}) {
     SceneBuffer buffer(before);
-    Image<float>* const planes[] = {&buffer.scene, &buffer.previous, &buffer.weight, &buffer.weighted, &buffer.prediction, &buffer.seen};
+    Image<float>* const planes[] = {&buffer.scene,      &buffer.previous, &buffer.weight,    &buffer.weighted,
+                                    &buffer.prediction, &buffer.filled,   &buffer.majoriser, &buffer.seen};
     for (std::size_t k = 0; k < 6; ++k) {
       for (int y = 0; y < before.height(); ++y) {
         for (int x = 0; x < before.width(); ++x) {
