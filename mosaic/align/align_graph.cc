@@ -46,6 +46,7 @@ struct Candidate {
 
 std::vector<Candidate> CandidatesOf(const Segment& segment, const Scene& scene) {
   constexpr double kCoverageMin = 0.5;
+  constexpr double kAdjacentCoverageMin = 0.1;
   std::vector<Candidate> candidates;
   // Of a camera that dwells, every view covers every scene: the nearest in time are enough to hold neighbours together.
   constexpr std::int64_t kNeighbourFrames = 12;
@@ -53,7 +54,12 @@ std::vector<Candidate> CandidatesOf(const Segment& segment, const Scene& scene) 
     const ChainView& view = segment.chain[v];
     const bool dominates = view.frame >= scene.frame_begin && view.frame < scene.frame_end;
     const bool near = view.frame + kNeighbourFrames >= scene.frame_begin && view.frame < scene.frame_end + kNeighbourFrames;
-    if (dominates || (near && Coverage(segment, view, scene) >= kCoverageMin)) candidates.push_back({static_cast<int>(v), dominates});
+    // The views just before and after the scene's own hold it to its neighbours in the segment, however small the ROI is beside the scene.
+    const bool last_before =
+        view.frame < scene.frame_begin && (v + 1 == segment.chain.size() || segment.chain[v + 1].frame >= scene.frame_begin);
+    const bool first_after = view.frame >= scene.frame_end && (v == 0 || segment.chain[v - 1].frame < scene.frame_end);
+    const double coverage_min = last_before || first_after ? kAdjacentCoverageMin : kCoverageMin;
+    if (dominates || (near && Coverage(segment, view, scene) >= coverage_min)) candidates.push_back({static_cast<int>(v), dominates});
   }
   if (!candidates.empty()) return candidates;
   const double middle = 0.5 * (static_cast<double>(scene.frame_begin) + scene.frame_end);

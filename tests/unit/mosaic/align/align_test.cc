@@ -134,6 +134,38 @@ TEST(Align, DownWeightsAndNamesAnOutlierTie) {
   for (std::size_t k = 0; k < dirty.size(); ++k) EXPECT_LT((dirty[k] - clean[k]).norm(), 0.1) << k;
 }
 
+TEST(Align, HoldsTheScenesOfASegmentTogetherWhenTheRoiIsSmallBesideThem) {
+  // With their margins the scenes are more than twice as large as the ROI: no view covers half of one.
+  AlignInput input;
+  input.width_px = 128;
+  input.height_px = 100;
+  input.ratio = 2;
+  Segment segment;
+  segment.roi_in_sensor = {0, 0, 61, 61};
+  for (std::uint32_t frame = 0; frame < 18; ++frame) {
+    ChainView view;
+    view.frame = frame;
+    view.scene_from_sensor = {2.0 * Eigen::Matrix2d::Identity(), Eigen::Vector2d(8.0 * frame, 0.0)};
+    view.corner_covariance_px2 = Matrix6d::Identity() * 1e-4;
+    view.gain_offset_covariance = Eigen::Matrix2d::Identity() * 1e-4;
+    segment.chain.push_back(view);
+  }
+  for (int scene = 0; scene < 3; ++scene) {
+    const int left = 8 * 6 * scene;
+    segment.scenes.push_back({static_cast<std::uint32_t>(scene), Roi{left - 24, -24, left + 8 * 5 + 122 + 24, 122 + 24},
+                              static_cast<std::uint32_t>(6 * scene), static_cast<std::uint32_t>(6 * scene + 6)});
+  }
+  input.segments.push_back(segment);
+  const AlignSolution solution = MustAlign(input);
+  EXPECT_EQ(solution.piece_count, 1);
+  ASSERT_EQ(solution.scenes.size(), 3u);
+  // One plane: all scenes have the same map.
+  const Eigen::Vector2d cell(200.0, 60.0);
+  for (const AlignedScene& scene : solution.scenes) {
+    EXPECT_LT((scene.world_from_scene * cell - solution.scenes[0].world_from_scene * cell).norm(), 0.01) << scene.scene_id;
+  }
+}
+
 TEST(Align, KeepsPiecesApartWithoutTelemetryAndPlacesThemWithIt) {
   SyntheticOptions options;
   options.gap_after_frame = 19;
