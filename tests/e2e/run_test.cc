@@ -1,6 +1,6 @@
 // Goal: `trem run` gives the same bytes whatever happens to its processes, and leaves nothing behind. Method: real processes on a small
-// simulated sortie, with 1, 2 and 3 workers, with SIGKILL for a worker, the coordinator and trem itself, and with Ctrl-C; all published
-// files are compared byte by byte with those of an undisturbed run.
+// simulated sortie, with 1, 2 and 3 workers, with SIGKILL for a worker, the coordinator and trem itself, a worker that hangs, and Ctrl-C;
+// all published files are compared byte by byte with those of an undisturbed run.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
@@ -57,8 +57,8 @@ class RunTest : public ::testing::Test {
     return found;
   }
 
-  // Runs with two workers, kills one process of `program` in the middle and expects the bytes of an undisturbed run.
-  void ExpectSurvivesKillOf(const std::string& program) {
+  // Runs with two workers, sends `signal_number` to one process of `program` in the middle and expects the bytes of an undisturbed run.
+  void ExpectSurvives(int signal_number, const std::string& program) {
     const auto expected = CleanRun("reference", 2);
     ASSERT_THAT(expected, Contains(::testing::Key("town.tif")));
     const fs::path out = fixture_.NewFolder("disturbed");
@@ -67,7 +67,7 @@ class RunTest : public ::testing::Test {
     const std::vector<pid_t> pids = ProcessesOf(run, program);
     ASSERT_FALSE(pids.empty()) << program;
     ASSERT_FALSE(fs::exists(out / "town.tif"));
-    ASSERT_EQ(::kill(pids[0], SIGKILL), 0);
+    ASSERT_EQ(::kill(pids[0], signal_number), 0);
     const auto exit = run.Wait(kPatience);
     ASSERT_TRUE(exit.has_value());
     EXPECT_EQ(exit->code, 0) << run.Stderr();
@@ -119,9 +119,12 @@ TEST_F(RunTest, GivesTheSameBytesForOneTwoAndThreeWorkers) {
   EXPECT_TRUE(CleanRun("three", 3) == one) << "3 workers gave other files than 1";
 }
 
-TEST_F(RunTest, GivesTheSameBytesWhenAWorkerIsKilled) { ExpectSurvivesKillOf("trem-worker"); }
+TEST_F(RunTest, GivesTheSameBytesWhenAWorkerIsKilled) { ExpectSurvives(SIGKILL, "trem-worker"); }
 
-TEST_F(RunTest, GivesTheSameBytesWhenTheCoordinatorIsKilled) { ExpectSurvivesKillOf("trem-coordinator"); }
+// A stopped process neither answers nor closes its connection, as one that hangs.
+TEST_F(RunTest, GivesTheSameBytesWhenAWorkerHangs) { ExpectSurvives(SIGSTOP, "trem-worker"); }
+
+TEST_F(RunTest, GivesTheSameBytesWhenTheCoordinatorIsKilled) { ExpectSurvives(SIGKILL, "trem-coordinator"); }
 
 TEST_F(RunTest, StopsOnCtrlCAndResumesToTheSameBytes) { ExpectResumesAfter(SIGINT, 130); }
 
