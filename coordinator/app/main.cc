@@ -12,6 +12,7 @@
 #include <string>
 
 #include "coordinator/app/shell.h"
+#include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
 #include "mosaic/base/log.h"
 #include "proto/channel/router_channel.h"
@@ -19,7 +20,6 @@
 namespace trem {
 namespace {
 
-constexpr int kExitUsage = 2;
 // Log writes are shared by messages that came in together, up to this many.
 constexpr int kBatchMax = 256;
 constexpr TimeMs kTickIntervalMs = 100;
@@ -118,20 +118,6 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   return status;
 }
 
-int ExitCode(const Status& status) {
-  switch (status.code()) {
-    case StatusCode::kOk:
-      return 0;
-    case StatusCode::kInvalidInput:
-    case StatusCode::kNotFound:
-      return 3;
-    case StatusCode::kUnavailable:
-      return 4;
-    default:
-      return 1;
-  }
-}
-
 int Main(int argc, char** argv) {
   const pid_t parent = getppid();
   CLI::App app{"Hands the tasks of mapping jobs to trem workers and keeps what they found.", "trem-coordinator"};
@@ -141,7 +127,7 @@ int Main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitUsage;
+    return app.exit(error) == 0 ? kExitDone : kExitUsage;
   }
   ConfigureLog("trem-coordinator", options.log_level);
   std::signal(SIGPIPE, SIG_IGN);
@@ -149,7 +135,7 @@ int Main(int argc, char** argv) {
   std::signal(SIGINT, OnStopSignal);
   const Status status = RunCoordinator(options, parent);
   if (!status.ok()) spdlog::error("{}", status.message());
-  return ExitCode(status);
+  return ExitCodeOf(status);
 }
 
 }  // namespace

@@ -23,24 +23,6 @@ void Print(const char* kind, const char* colour, const std::string& message) {
 
 }  // namespace
 
-ExitCode ExitCodeOf(StatusCode code) {
-  switch (code) {
-    case StatusCode::kOk:
-      return kExitDone;
-    case StatusCode::kInvalidInput:
-    case StatusCode::kNotFound:
-      return kExitInvalidInput;
-    case StatusCode::kUnavailable:
-      return kExitNoCoordinator;
-    case StatusCode::kExhausted:
-    case StatusCode::kCancelled:
-    case StatusCode::kCorrupt:
-    case StatusCode::kFailed:
-      break;
-  }
-  return kExitFailed;
-}
-
 bool StderrIsTerminal() { return ::isatty(STDERR_FILENO) == 1; }
 
 bool ColourOnStderr() {

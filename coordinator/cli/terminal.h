@@ -2,22 +2,9 @@
 
 #include <string>
 
-#include "mosaic/base/status.h"
+#include "mosaic/base/exit_code.h"
 
 namespace trem {
-
-// The documented exit codes of `trem`.
-enum ExitCode : int {
-  kExitDone = 0,
-  kExitFailed = 1,
-  kExitUsage = 2,
-  kExitInvalidInput = 3,
-  kExitNoCoordinator = 4,
-  kExitDoneInPart = 5,
-  kExitSignalBase = 128,  // Interrupted: this plus the signal's number.
-};
-
-ExitCode ExitCodeOf(StatusCode code);
 
 // Whether messages on stderr may be coloured: a terminal, NO_COLOR unset or empty, TERM not "dumb".
 bool ColourOnStderr();

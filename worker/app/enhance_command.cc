@@ -1,4 +1,5 @@
 #include "worker/app/enhance_command.h"
+#include "mosaic/base/exit_code.h"
 
 #include <fmt/format.h>
 #include <signal.h>
@@ -21,7 +22,6 @@
 #include "proto/codec/convert.h"
 #include "proto/codec/sortie_spec.h"
 #include "worker/app/enhance_outputs.h"
-#include "worker/app/exit_code.h"
 #include "worker/app/progress_bar.h"
 #include "worker/app/usage.h"
 #include "worker/tasks/task.h"

@@ -15,6 +15,7 @@
 #include "proto/codec/convert.h"
 #include "worker/sensor/bicubic.h"
 #include "worker/sortie/frame_reader.h"
+#include "worker/tasks/outcome_name.h"
 
 namespace trem {
 namespace {
@@ -112,19 +113,6 @@ FloatRaster SceneFile(const EnhancedWindow& enhanced, const Choice& choice, cons
   return raster;
 }
 
-const char* NameOf(v1::OutcomeCode code) {
-  switch (code) {
-    case v1::REGISTERED:
-      return "registered";
-    case v1::STARTED_SCENE:
-      return "started_scene";
-    case v1::SKIPPED:
-      return "skipped";
-    default:
-      return "lost";
-  }
-}
-
 // Largest standard deviation of a corner coordinate [px]: the diagonal of the upper triangle of the 6 x 6 covariance.
 double CornerSigma(const v1::ChainView& view) {
   double largest = 0.0;
@@ -157,7 +145,7 @@ Result<std::string> ChainCsv(const EnhancedWindow& enhanced, const Choice& choic
   for (const v1::FrameOutcome& frame : enhanced.window->frames()) {
     const std::string start =
         fmt::format("{},{},{},{}", frame.frame_index(), CsvField(enhanced.manifest->frames(static_cast<int>(frame.frame_index())).name()),
-                    NameOf(frame.outcome()), CsvField(frame.reason()));
+                    OutcomeName(frame.outcome()), CsvField(frame.reason()));
     const auto [begin, end] = fits.equal_range(frame.frame_index());
     if (begin == end) csv += start + std::string(13, ',') + "\n";
     for (auto fit = begin; fit != end; ++fit) csv += start + "," + fit->second + "\n";

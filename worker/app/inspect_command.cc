@@ -1,4 +1,5 @@
 #include "worker/app/inspect_command.h"
+#include "mosaic/base/exit_code.h"
 
 #include <fmt/format.h>
 
@@ -11,7 +12,6 @@
 #include "mosaic/base/file.h"
 #include "proto/codec/convert.h"
 #include "proto/codec/sortie_spec.h"
-#include "worker/app/exit_code.h"
 #include "worker/app/progress_bar.h"
 #include "worker/app/sortie_report.h"
 #include "worker/app/usage.h"

@@ -6,10 +6,10 @@
 #include <string>
 #include <vector>
 
+#include "mosaic/base/exit_code.h"
 #include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
 #include "worker/app/enhance_command.h"
-#include "worker/app/exit_code.h"
 #include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
 #include "worker/app/simulate_command.h"

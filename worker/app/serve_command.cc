@@ -1,4 +1,5 @@
 #include "worker/app/serve_command.h"
+#include "mosaic/base/exit_code.h"
 
 #include <sys/prctl.h>
 #include <unistd.h>
@@ -16,7 +17,6 @@
 
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/log.h"
-#include "worker/app/exit_code.h"
 #include "worker/app/usage.h"
 #include "worker/app/worker_loop.h"
 #include "worker/tasks/task.h"

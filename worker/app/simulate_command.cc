@@ -1,4 +1,5 @@
 #include "worker/app/simulate_command.h"
+#include "mosaic/base/exit_code.h"
 
 #include <fmt/format.h>
 #include <unistd.h>
@@ -10,7 +11,6 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "worker/app/exit_code.h"
 #include "worker/app/usage.h"
 #include "worker/simulate/simulation.h"
 

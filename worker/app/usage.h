@@ -2,7 +2,7 @@
 
 #include <CLI/CLI.hpp>
 
-#include "worker/app/exit_code.h"
+#include "mosaic/base/exit_code.h"
 
 namespace trem {
 
@@ -12,7 +12,7 @@ inline int ExitOfParseError(CLI::App* app, const CLI::ParseError& error) {
   app->failure_message([](const CLI::App* command, const CLI::Error& wrong) {
     return command->get_name() + ": " + wrong.what() + ". See '" + command->get_name() + " --help'\n";
   });
-  return app->exit(error) == 0 ? 0 : kExitUsage;
+  return app->exit(error) == 0 ? kExitDone : kExitUsage;
 }
 
 }  // namespace trem

@@ -3,25 +3,13 @@
 #include <utility>
 
 #include "proto/codec/convert.h"
+#include "worker/tasks/outcome_name.h"
 
 namespace trem {
 namespace {
 
 // More would make the report unreadable; mosaic_chain.csv has all of them.
 constexpr std::size_t kMissingFramesShown = 60;
-
-const char* StatusName(v1::OutcomeCode outcome) {
-  switch (outcome) {
-    case v1::REGISTERED:
-      return "registered";
-    case v1::STARTED_SCENE:
-      return "started_scene";
-    case v1::SKIPPED:
-      return "skipped";
-    default:
-      return "lost";
-  }
-}
 
 // Why a frame that the manifest calls unusable is so.
 std::string StateReason(v1::FrameState state) {
@@ -92,7 +80,7 @@ Status FrameLedger::AddWindow(const v1::WindowResult& window, ChainCsvWriter* cs
   for (const v1::FrameOutcome& outcome : window.frames()) {
     TREM_ASSIGN_OR_RETURN(ChainRow row, StartRow(outcome.frame_index()));
     row.window_id = window.window_id();
-    row.status = StatusName(outcome.outcome());
+    row.status = OutcomeName(outcome.outcome());
     row.reason = outcome.reason();
     const auto fit = fits.find(outcome.frame_index());
     if (fit != fits.end()) row.fit = fit->second;

@@ -19,6 +19,7 @@
 #include <zmq.hpp>
 
 #include "proto/channel/router_channel.h"
+#include "tests/support/paths.h"
 
 namespace trem {
 namespace {
@@ -438,6 +439,9 @@ TEST(WorkerLoop, DeliversAFinishedResultBeforeItLeaves) {
 
 TEST(WorkerLoopDeathTest, ExitsWhenACancelledTaskDoesNotStop) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
+  // The dying process can't remove its folder; it is made inside one that this process removes.
+  const trem::testing::TempDir scratch;
+  ::setenv("TMPDIR", scratch.path().c_str(), 1);
   EXPECT_EXIT(
       {
         Harness harness;
