@@ -441,6 +441,7 @@ TEST(WorkerLoopDeathTest, ExitsWhenACancelledTaskDoesNotStop) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   // The dying process can't remove its folder; it is made inside one that this process removes.
   const trem::testing::TempDir scratch;
+  const std::string before = fs::temp_directory_path().string();
   ::setenv("TMPDIR", scratch.path().c_str(), 1);
   EXPECT_EXIT(
       {
@@ -459,6 +460,7 @@ TEST(WorkerLoopDeathTest, ExitsWhenACancelledTaskDoesNotStop) {
         (void)harness.Join();
       },
       ::testing::ExitedWithCode(9), "");
+  ::setenv("TMPDIR", before.c_str(), 1);
 }
 
 }  // namespace
