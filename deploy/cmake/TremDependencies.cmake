@@ -6,6 +6,8 @@ find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs features2d calib3
 find_package(GDAL REQUIRED)
 find_package(Ceres REQUIRED)
 find_package(Protobuf REQUIRED)
+find_package(HWY REQUIRED)
+find_package(TBB REQUIRED)
 find_package(OpenSSL REQUIRED COMPONENTS Crypto)
 find_package(SQLite3 REQUIRED)
 find_package(spdlog REQUIRED)

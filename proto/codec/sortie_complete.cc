@@ -83,6 +83,38 @@ void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
   sensor->set_fill_factor(OrDefault(sensor->fill_factor(), 0.9));
   check->Number("sensor.fill_factor", sensor->fill_factor(), 0.05, 1.0);
   check->Number("sensor.noise_sigma", sensor->noise_sigma(), 0.0, 65535.0);
+  check->Enum("sensor.psf_model", sensor->psf_model(), v1::PsfModel_IsValid(sensor->psf_model()));
+  check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
+}
+
+// Options that the schema has and the engine does not honour yet: refused, not ignored.
+void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
+  const auto refuse = [check](bool asked, const char* field) {
+    if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
+  };
+  const v1::Sensor& sensor = sortie.sensor();
+  refuse(sensor.psf_model() > v1::GAUSSIAN, "sensor.psf_model");
+  refuse(sensor.wavelength_um() != 0.0, "sensor.wavelength_um");
+  refuse(sensor.f_number() != 0.0, "sensor.f_number");
+  refuse(sensor.pixel_pitch_um() != 0.0, "sensor.pixel_pitch_um");
+  refuse(!sensor.psf_kernel_path().empty(), "sensor.psf_kernel_path");
+  refuse(sensor.smear_px() != 0.0, "sensor.smear_px");
+  refuse(sensor.smear_direction_deg() != 0.0, "sensor.smear_direction_deg");
+  refuse(sensor.shot_noise() != 0.0, "sensor.shot_noise");
+  refuse(!sensor.bad_pixel_path().empty(), "sensor.bad_pixel_path");
+  refuse(!sensor.mask_path().empty(), "sensor.mask_path");
+  refuse(sensor.has_saturation_level(), "sensor.saturation_level");
+  refuse(sensor.detector_bias() == v1::CORRECTION_ON, "sensor.detector_bias");
+  const v1::Tre& tre = sortie.tre();
+  refuse(tre.registration() == v1::PAIRWISE, "tre.registration");
+  refuse(tre.view_model() == v1::PROJECTIVE, "tre.view_model");
+  refuse(tre.gain_offset() == v1::MARGINALISED, "tre.gain_offset");
+  refuse(tre.dynamics_sigma_px() != 0.0, "tre.dynamics_sigma_px");
+  refuse(tre.update() > v1::INFORMATION, "tre.update");
+  refuse(tre.structure() > v1::MEMBRANE, "tre.structure");
+  refuse(tre.landweber_window() != 0, "tre.landweber_window");
+  refuse(tre.landweber_revisit(), "tre.landweber_revisit");
+  refuse(tre.mover_mask() == v1::CORRECTION_ON, "tre.mover_mask");
 }
 
 void CompleteTre(v1::Tre* tre, RangeChecker* check) {
@@ -94,6 +126,9 @@ void CompleteTre(v1::Tre* tre, RangeChecker* check) {
   tre->set_structure_weight(OrDefault(tre->structure_weight(), 1.0));
   check->Number("tre.structure_weight", tre->structure_weight(), 1e-6, 1e6);
   check->Whole("tre.iterations", tre->iterations(), 0, 1000);
+  check->Enum("tre.view_model", tre->view_model(), v1::ViewModel_IsValid(tre->view_model()));
+  check->Enum("tre.gain_offset", tre->gain_offset(), v1::GainOffset_IsValid(tre->gain_offset()));
+  check->Enum("tre.mover_mask", tre->mover_mask(), v1::Correction_IsValid(tre->mover_mask()));
   if (tre->forgetting() != 0.0 && !(tre->forgetting() > 0.0 && tre->forgetting() <= 1.0)) {
     check->Refuse("tre.forgetting", fmt::format("{}", tre->forgetting()), "more than 0 and at most 1, or 0 for automatic");
   }
@@ -137,6 +172,7 @@ Status CompleteSortie(v1::Sortie* sortie) {
   CompleteTelemetry(sortie->mutable_telemetry(), &check);
   CompleteSensor(sortie->mutable_sensor(), &check);
   CompleteTre(sortie->mutable_tre(), &check);
+  RefuseUnbuilt(*sortie, &check);
   CompleteWindows(sortie->mutable_windows(), &check);
   CompleteMosaic(sortie->mutable_mosaic(), &check);
   if (sortie->name().empty()) sortie->set_name(NameOfSource(sortie->source().path()));

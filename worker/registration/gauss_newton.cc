@@ -60,7 +60,8 @@ Normal Accumulate(const Observation& observation, const Reference& reference, co
     for (int u = level.pixel_stride / 2; u < level.frame->width(); u += level.pixel_stride) {
       const float intensity = frame_row[u];
       ++normal.candidates;
-      if (std::isnan(intensity)) continue;
+      const float trust = level.frame == observation.roi_pixels ? observation.weight(u, v) : 1.0F;
+      if (std::isnan(intensity) || !(trust > 0.0F)) continue;
       const Eigen::Vector2d sensor(roi.x0 + FullFromLevel(u, level.frame_step), roi.y0 + FullFromLevel(v, level.frame_step));
       const Eigen::Vector2d scene = view.scene_from_sensor * sensor;
       const double x = LevelFromFull(scene.x() - reference.x0, level.reference_step);
@@ -68,7 +69,7 @@ Normal Accumulate(const Observation& observation, const Reference& reference, co
       if (!CubicSupported(*level.prediction, x, y)) continue;
       const float n = level.seen->at(static_cast<int>(x + 0.5), static_cast<int>(y + 0.5));
       if (!(n >= reference.seen_min)) continue;
-      const double seen = n / (n + 1.0);
+      const double seen = trust * n / (n + 1.0);
       const ValueAndGradient p = SampleCubicGradient(*level.prediction, x, y);
       const double r = intensity - view.gain * p.value - view.offset;
       const double magnitude = std::abs(r);

@@ -21,7 +21,11 @@ struct Reference {
 struct Observation {
   const Image<float>* roi_pixels = nullptr;  // roi.width() x roi.height(), internal grey levels. NaN: no measurement.
   Roi roi;                                   // In the sensor.
-  double noise_sigma = 2.0;                  // Internal grey levels.
+  double noise_sigma = 2.0;                  // Internal grey levels, of a pixel of weight 1.
+  // Relative inverse variance of each pixel, same size as roi_pixels: noise_sigma^2 / sigma^2(u). 0: not to be used. Null: all 1.
+  const Image<float>* weights = nullptr;
+
+  float weight(int u, int v) const { return weights != nullptr ? weights->at(u, v) : 1.0F; }
 };
 
 }  // namespace trem

@@ -7,6 +7,7 @@
 #include "mosaic/raster/scene_raster.h"
 #include "proto/codec/convert.h"
 #include "worker/sortie/frame_reader.h"
+#include "worker/tasks/engine_options_of.h"
 #include "worker/tasks/task.h"
 #include "worker/tasks/task_inputs.h"
 #include "worker/tre/mapping_engine.h"
@@ -78,29 +79,6 @@ Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, cons
     frames.push_back(std::move(frame));
   }
   return frames;
-}
-
-EngineOptions OptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
-  const v1::Sortie& sortie = spec.sortie();
-  EngineOptions options;
-  if (sortie.sensor().psf_sigma_px() > 0.0) options.psf.sigma_px = sortie.sensor().psf_sigma_px();
-  if (sortie.sensor().fill_factor() > 0.0) options.psf.fill_factor = sortie.sensor().fill_factor();
-  if (sortie.tre().ratio() > 0) options.ratio = static_cast<int>(sortie.tre().ratio());
-  switch (sortie.tre().registration()) {
-    case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;
-    case v1::HINTS: options.registration = RegistrationMethod::kHints; break;
-    case v1::HINTS_THEN_GAUSS_NEWTON: options.registration = RegistrationMethod::kHintsThenGaussNewton; break;
-    default: options.registration = RegistrationMethod::kAuto; break;
-  }
-  options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
-  if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
-  options.iterations = static_cast<int>(sortie.tre().iterations());
-  options.forgetting = sortie.tre().forgetting();
-  options.noise_known = sortie.sensor().noise_sigma() > 0.0;
-  // Below half a grey level the quantisation of 8-bit sources dominates.
-  options.noise_sigma = options.noise_known ? sortie.sensor().noise_sigma() / manifest.grey_scale() : std::max(manifest.noise_sigma(), 0.5);
-  options.seed = spec.seed();
-  return options;
 }
 
 void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
@@ -194,7 +172,7 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   SnapshotWriter writer(*context.store);
   const SnapshotSink sink = [&](int segment_id, const SceneSnapshot& snapshot) { return writer.Write(segment_id, snapshot); };
   const auto progress = [&](double fraction) { return context.progress(kReadingPart + (1.0 - kReadingPart) * fraction); };
-  Result<EngineResult> engine = RunMapping(FromProto(spec.enhance().roi_in_sensor()), frames, OptionsOf(spec, manifest), sink, progress);
+  Result<EngineResult> engine = RunMapping(FromProto(spec.enhance().roi_in_sensor()), frames, EngineOptionsOf(spec, manifest), sink, progress);
   if (!engine.ok()) return engine.status().WithPrefix("window " + std::to_string(spec.enhance().window_id()));
 
   v1::TaskResult result;

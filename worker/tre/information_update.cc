@@ -48,7 +48,8 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
   for (int v = 0; v < roi.height(); ++v) {
     const float* pixels = observation.roi_pixels->row(v);
     for (int u = 0; u < roi.width(); ++u) {
-      if (std::isnan(pixels[u])) continue;
+      const float trust = observation.weight(u, v);
+      if (std::isnan(pixels[u]) || !(trust > 0.0F)) continue;
       const Eigen::Vector2d scene = view.scene_from_sensor * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);
       const double x = scene.x() - buffer->extent.x0;
       const double y = scene.y() - buffer->extent.y0;
@@ -61,7 +62,7 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
       // The first look at a cell has nothing to be an outlier of.
       const bool known = buffer->seen.at(cx, cy) >= 1.5F;
       const float robust = known && std::abs(residual) > limit ? limit / std::abs(residual) : 1.0F;
-      const float weight = robust * gain * gain;
+      const float weight = trust * robust * gain * gain;
       // Residual correction: the sample is carried from where it was taken to the cell's centre along the model's own slope.
       buffer->weight.at(cx, cy) += weight;
       buffer->weighted.at(cx, cy) += weight * (value - predicted + buffer->prediction.at(cx, cy));

@@ -8,30 +8,16 @@
 
 #include "mosaic/base/status.h"
 #include "worker/registration/registration.h"
-#include "worker/sensor/psf.h"
-#include "worker/tre/information_update.h"
+#include "worker/tre/engine_options.h"
 
 namespace trem {
-
-// How TRE runs on a window. Every 0 or default is a good choice for an unknown sortie.
-struct EngineOptions {
-  PsfParameters psf;
-  int ratio = 3;
-  RegistrationMethod registration = RegistrationMethod::kAuto;
-  StructurePriorKind structure = StructurePriorKind::kHuberTv;
-  double structure_weight = 1.0;  // Factor on the automatic regularisation. Raise it for smoother, lower for crisper and noisier scenes.
-  int iterations = 0;             // Scene updates a frame. 0: 4.
-  double forgetting = 0.0;        // Per frame, (0, 1]. 0: automatic.
-  double noise_sigma = 2.0;       // Internal grey levels; first guess unless `noise_known`.
-  bool noise_known = false;       // True: noise_sigma is used as given; false: refined from the residuals.
-  std::uint64_t seed = 0;         // Names the random streams of HINTS.
-};
 
 // One frame of a window, cropped to the ROI.
 struct FrameInput {
   int frame_index = 0;                 // In the manifest; reported back.
   std::string skip_reason;             // Not empty: the frame cannot be used, and why.
   Image<float> pixels;                 // roi.width() x roi.height(), internal grey levels; NaN: no measurement.
+  Image<float> weights;                // See Observation::weights; empty: all 1.
   // Sensor pixels of this frame to those of the previous usable one, from the registration of whole images; nothing when that failed.
   std::optional<Affine> previous_from_current;
 };

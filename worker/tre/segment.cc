@@ -42,6 +42,10 @@ Affine NominalView(const Roi& roi, int ratio) {
   return scene_from_sensor;
 }
 
+Observation ObservationOf(const FrameInput& frame, const Roi& roi, double noise_sigma) {
+  return {&frame.pixels, roi, noise_sigma, frame.weights.empty() ? nullptr : &frame.weights};
+}
+
 // Rounds outwards to multiples of `step`, so that the buffer is reallocated now and then instead of at every frame.
 Roi RoundedOut(const Roi& roi, int step) {
   const auto down = [step](int x) { return static_cast<int>(std::floor(static_cast<double>(x) / step)) * step; };
@@ -133,7 +137,7 @@ void Segment::Update(const FrameInput& frame, const View& view, double noise_sig
   const Roi region = Footprint(view.scene_from_sensor);
   FillUnseen(frame, view, region);
   update_.Predict(region, &buffer_);
-  update_.AddFrame({&frame.pixels, roi_, noise_sigma}, view, region, &buffer_);
+  update_.AddFrame(ObservationOf(frame, roi_, noise_sigma), view, region, &buffer_);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
   const float lambda = Lambda(region, noise_sigma);
   if (frame_count_ > 0) {
@@ -192,7 +196,7 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
   const float seen_min = std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames);
   const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
-  return Register({&frame.pixels, roi_, noise_sigma}, reference, request);
+  return Register(ObservationOf(frame, roi_, noise_sigma), reference, request);
 }
 
 Status Segment::AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit) {

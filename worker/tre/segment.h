@@ -2,6 +2,7 @@
 
 #include <functional>
 
+#include "worker/tre/information_update.h"
 #include "worker/tre/mapping_engine.h"
 #include "worker/tre/scene_buffer.h"
 

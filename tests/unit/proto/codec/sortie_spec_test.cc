@@ -74,7 +74,7 @@ TEST(SortieSpec, ListsTheFieldsWhenNoneIsNear) {
 TEST(SortieSpec, ListsTheValuesOfAnEnumeration) {
   const char* expected =
       "unknown value 'HINT' of registration; expected one of REGISTRATION_AUTO, GAUSS_NEWTON, HINTS, "
-      "HINTS_THEN_GAUSS_NEWTON; did you mean 'HINTS'?";
+      "HINTS_THEN_GAUSS_NEWTON, PAIRWISE; did you mean 'HINTS'?";
   EXPECT_EQ(ErrorOf("tre { registration: HINT }", "s.textproto"), std::string("s.textproto:1:21: ") + expected);
   EXPECT_EQ(ErrorOf("{\"tre\": {\"registration\": \"HINT\"}}", "s.json"), std::string("s.json:1:26: ") + expected);
 }

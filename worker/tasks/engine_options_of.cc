@@ -1,0 +1,30 @@
+#include "worker/tasks/engine_options_of.h"
+
+#include <algorithm>
+
+namespace trem {
+
+EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
+  const v1::Sortie& sortie = spec.sortie();
+  EngineOptions options;
+  if (sortie.sensor().psf_sigma_px() > 0.0) options.psf.sigma_px = sortie.sensor().psf_sigma_px();
+  if (sortie.sensor().fill_factor() > 0.0) options.psf.fill_factor = sortie.sensor().fill_factor();
+  if (sortie.tre().ratio() > 0) options.ratio = static_cast<int>(sortie.tre().ratio());
+  switch (sortie.tre().registration()) {
+    case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;
+    case v1::HINTS: options.registration = RegistrationMethod::kHints; break;
+    case v1::HINTS_THEN_GAUSS_NEWTON: options.registration = RegistrationMethod::kHintsThenGaussNewton; break;
+    default: options.registration = RegistrationMethod::kAuto; break;
+  }
+  options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
+  if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
+  options.iterations = static_cast<int>(sortie.tre().iterations());
+  options.forgetting = sortie.tre().forgetting();
+  options.noise_known = sortie.sensor().noise_sigma() > 0.0;
+  // Below half a grey level the quantisation of 8-bit sources dominates.
+  options.noise_sigma = options.noise_known ? sortie.sensor().noise_sigma() / manifest.grey_scale() : std::max(manifest.noise_sigma(), 0.5);
+  options.seed = spec.seed();
+  return options;
+}
+
+}  // namespace trem
