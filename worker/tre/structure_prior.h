@@ -21,6 +21,7 @@ struct StructurePrior {
   // A bound on the diagonal of a separable majoriser of sum psi: each cell takes part in 4 differences, each of curvature <= 1, and
   // (a - b)^2 <= 2 a^2 + 2 b^2.
   static constexpr float kCurvatureMax = 8.0F;
+  float curvature_max() const { return kCurvatureMax; }
 };
 
 }  // namespace trem
