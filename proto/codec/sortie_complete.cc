@@ -77,13 +77,33 @@ void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
   }
 }
 
+void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
+  check->Enum("sensor.psf_model", sensor->psf_model(), v1::PsfModel_IsValid(sensor->psf_model()));
+  if (sensor->psf_model() == v1::PSF_AUTO) {
+    sensor->set_psf_model(!sensor->psf_kernel_path().empty() ? v1::KERNEL_FILE : sensor->f_number() != 0.0 ? v1::OPTICS : v1::GAUSSIAN);
+  }
+  const bool optics = sensor->psf_model() == v1::OPTICS;
+  const auto optical = [&](const char* field, double value, double least, double most) {
+    if (optics || value != 0.0) check->Number(field, value, least, most);
+  };
+  optical("sensor.wavelength_um", sensor->wavelength_um(), 0.2, 20.0);
+  optical("sensor.f_number", sensor->f_number(), 0.5, 100.0);
+  optical("sensor.pixel_pitch_um", sensor->pixel_pitch_um(), 0.5, 200.0);
+  if (optics && check->status().ok()) {
+    check->Number("sensor.wavelength_um * f_number / pixel_pitch_um (the diffraction's width in pixels)",
+                  sensor->wavelength_um() * sensor->f_number() / sensor->pixel_pitch_um(), 0.05, 4.0);
+  }
+  if (sensor->psf_model() == v1::GAUSSIAN) sensor->set_psf_sigma_px(OrDefault(sensor->psf_sigma_px(), 0.55));
+  if (sensor->psf_sigma_px() != 0.0) check->Number("sensor.psf_sigma_px", sensor->psf_sigma_px(), 0.05, 3.0);
+  check->Number("sensor.smear_px", sensor->smear_px(), 0.0, 10.0);
+  check->Number("sensor.smear_direction_deg", sensor->smear_direction_deg(), -360.0, 360.0);
+}
+
 void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
-  sensor->set_psf_sigma_px(OrDefault(sensor->psf_sigma_px(), 0.55));
-  check->Number("sensor.psf_sigma_px", sensor->psf_sigma_px(), 0.05, 3.0);
+  CompletePsf(sensor, check);
   sensor->set_fill_factor(OrDefault(sensor->fill_factor(), 0.9));
   check->Number("sensor.fill_factor", sensor->fill_factor(), 0.05, 1.0);
   check->Number("sensor.noise_sigma", sensor->noise_sigma(), 0.0, 65535.0);
-  check->Enum("sensor.psf_model", sensor->psf_model(), v1::PsfModel_IsValid(sensor->psf_model()));
   check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
 }
 
@@ -93,13 +113,7 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
     if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
   };
   const v1::Sensor& sensor = sortie.sensor();
-  refuse(sensor.psf_model() > v1::GAUSSIAN, "sensor.psf_model");
-  refuse(sensor.wavelength_um() != 0.0, "sensor.wavelength_um");
-  refuse(sensor.f_number() != 0.0, "sensor.f_number");
-  refuse(sensor.pixel_pitch_um() != 0.0, "sensor.pixel_pitch_um");
-  refuse(!sensor.psf_kernel_path().empty(), "sensor.psf_kernel_path");
-  refuse(sensor.smear_px() != 0.0, "sensor.smear_px");
-  refuse(sensor.smear_direction_deg() != 0.0, "sensor.smear_direction_deg");
+  refuse(sensor.psf_model() == v1::KERNEL_FILE || !sensor.psf_kernel_path().empty(), "sensor.psf_kernel_path");
   refuse(sensor.shot_noise() != 0.0, "sensor.shot_noise");
   refuse(!sensor.bad_pixel_path().empty(), "sensor.bad_pixel_path");
   refuse(!sensor.mask_path().empty(), "sensor.mask_path");

@@ -3,27 +3,34 @@
 #include "mosaic/base/image.h"
 #include "mosaic/geometry/roi.h"
 #include "worker/sensor/psf.h"
+#include "worker/sensor/term_filter.h"
 
 namespace trem {
 
-// Convolves images with a separable PSF. The image is continued by half-sample reflection at its borders (... b a | a b c ...), which
-// makes the operator B exactly symmetric: <B x, y> == <x, B y>, so that B is its own adjoint. Keeps scratch memory between calls; one
-// per thread.
+// Convolves images with a PSF. The image is continued by half-sample reflection at its borders (... b a | a b c ...), which makes the
+// operator B of a symmetric PSF exactly symmetric: <B x, y> == <x, B y>, so that B is its own adjoint; others have one of their own.
+// Keeps scratch memory between calls; one per thread.
 class Blur {
  public:
-  explicit Blur(SeparablePsf psf) : psf_(std::move(psf)) {}
+  explicit Blur(Psf psf) : psf_(std::move(psf)) {}
 
   // output(x, y) for (x, y) in `region` (clipped to the image); other pixels of `output` are left alone. `output` has the size of
-  // `input` and is another image. Cost: 2 (radius + 1) multiplications and 4 radius additions a pixel, in float32.
+  // `input` and is another image. Cost, rank one and symmetric: 2 (radius + 1) multiplications and 4 radius additions a pixel, in
+  // float32; else see TermFilter.
   void Apply(const Image<float>& input, const Roi& region, Image<float>* output);
   void Apply(const Image<float>& input, Image<float>* output) { Apply(input, {0, 0, input.width(), input.height()}, output); }
 
-  const SeparablePsf& psf() const { return psf_; }
+  // The same for B': <B x, y> == <x, B' y> up to rounding.
+  void ApplyAdjoint(const Image<float>& input, const Roi& region, Image<float>* output);
+  void ApplyAdjoint(const Image<float>& input, Image<float>* output) { ApplyAdjoint(input, {0, 0, input.width(), input.height()}, output); }
+
+  const Psf& psf() const { return psf_; }
 
  private:
-  SeparablePsf psf_;
+  Psf psf_;
   Image<float> rows_;            // Horizontally filtered rows of the region, with `radius` rows above and below.
   std::vector<float> padded_;    // One row with its reflected borders.
+  TermFilter terms_;
 };
 
 }  // namespace trem

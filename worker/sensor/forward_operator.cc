@@ -35,7 +35,7 @@ Image<float> ForwardOperator::ApplyAdjoint(const Image<float>& frame, int scene_
     }
   }
   Image<float> scene(scene_width, scene_height);
-  blur_.Apply(splatted, &scene);
+  blur_.ApplyAdjoint(splatted, &scene);
   return scene;
 }
 

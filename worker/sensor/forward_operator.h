@@ -14,7 +14,7 @@ namespace trem {
 // Cost: one Blur of the scene and 16 multiply-adds a frame pixel.
 class ForwardOperator {
  public:
-  ForwardOperator(SeparablePsf psf, const Affine& scene_from_sensor, int frame_width, int frame_height)
+  ForwardOperator(Psf psf, const Affine& scene_from_sensor, int frame_width, int frame_height)
       : blur_(std::move(psf)), scene_from_sensor_(scene_from_sensor), frame_width_(frame_width), frame_height_(frame_height) {}
 
   Image<float> Apply(const Image<float>& scene);

@@ -1,14 +1,33 @@
 #include "worker/tasks/engine_options_of.h"
 
 #include <algorithm>
+#include <numbers>
 
 namespace trem {
+
+namespace {
+
+PsfParameters PsfParametersOf(const v1::Sensor& sensor) {
+  PsfParameters psf;
+  if (sensor.fill_factor() > 0.0) psf.fill_factor = sensor.fill_factor();
+  if (sensor.psf_model() == v1::OPTICS) {
+    psf.model = PsfModel::kOptics;
+    psf.q = sensor.wavelength_um() * sensor.f_number() / sensor.pixel_pitch_um();
+    psf.sigma_px = sensor.psf_sigma_px();
+  } else if (sensor.psf_sigma_px() > 0.0) {
+    psf.sigma_px = sensor.psf_sigma_px();
+  }
+  psf.smear_px = sensor.smear_px();
+  psf.smear_direction_rad = sensor.smear_direction_deg() * std::numbers::pi / 180.0;
+  return psf;
+}
+
+}  // namespace
 
 EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
   const v1::Sortie& sortie = spec.sortie();
   EngineOptions options;
-  if (sortie.sensor().psf_sigma_px() > 0.0) options.psf.sigma_px = sortie.sensor().psf_sigma_px();
-  if (sortie.sensor().fill_factor() > 0.0) options.psf.fill_factor = sortie.sensor().fill_factor();
+  options.psf = PsfParametersOf(sortie.sensor());
   if (sortie.tre().ratio() > 0) options.ratio = static_cast<int>(sortie.tre().ratio());
   switch (sortie.tre().registration()) {
     case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;

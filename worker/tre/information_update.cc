@@ -72,7 +72,8 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
 
 void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
-  blur_.Apply(buffer->weight, inner, &buffer->majoriser);
+  blur_.ApplyAdjoint(buffer->weight, inner, &buffer->majoriser);
+  AddNegativePart(inner, buffer);
   // Tents one sensor pixel wide to either side: the samples of one frame add up to 1 everywhere inside its ROI.
   FitSize(buffer->weight, &row_sums_);
   const Roi whole{0, 0, buffer->weight.width(), buffer->weight.height()};
@@ -100,6 +101,22 @@ void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* bu
     for (int x = inner.x0; x < inner.x1; ++x) {
       if (seen[x] >= kManyFrames && NearWeight(buffer->weight, x, y, ratio / 2) < kNearPartMin * seen[x]) seen[x] = 0.0F;
     }
+  }
+}
+
+void InformationUpdate::AddNegativePart(const Roi& inner, SceneBuffer* buffer) const {
+  const float negative = static_cast<float>(blur_.psf().negative_mass);
+  if (negative == 0.0F) return;
+  const Roi whole{0, 0, buffer->weight.width(), buffer->weight.height()};
+  const Roi read = Intersect(Grown(inner, blur_.psf().radius()), whole);
+  float weight_max = 0.0F;
+  for (int y = read.y0; y < read.y1; ++y) {
+    for (int x = read.x0; x < read.x1; ++x) weight_max = std::max(weight_max, buffer->weight.at(x, y));
+  }
+  const float factor = 1.0F + 2.0F * negative;
+  const float floor = 8.0F * negative * weight_max;
+  for (int y = inner.y0; y < inner.y1; ++y) {
+    for (int x = inner.x0; x < inner.x1; ++x) buffer->majoriser.at(x, y) = factor * (std::max(buffer->majoriser.at(x, y), 0.0F) + floor);
   }
 }
 
@@ -135,7 +152,7 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda,
       float* r = residual_.row(y);
       for (int x = context.x0; x < context.x1; ++x) r[x] = w[x] * r[x] - z[x];
     }
-    blur_.Apply(residual_, inner, &gradient_);
+    blur_.ApplyAdjoint(residual_, inner, &gradient_);
     options_.prior.AddGradient(extrapolated_, inner, lambda, &gradient_);
     for (int y = inner.y0; y < inner.y1; ++y) {
       const float* g = gradient_.row(y);

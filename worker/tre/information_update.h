@@ -21,8 +21,8 @@ struct InformationOptions {
 //   1/2 sum_c W_c ((B S)_c - Z_c / W_c)^2  +  lambda * sum psi(grad S)
 //
 // Memory and time do not grow with the number of frames. The step is the separable quadratic surrogate's (diagonal majoriser
-// B W + 8 lambda, valid because B is non-negative, symmetric and sums to 1), so it needs no tuning and well and badly seen cells
-// converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
+// |B|' W |B| 1 + 8 lambda; a PSF that is not negative and sums to 1 makes that B' W + 8 lambda), so it needs no tuning and well and
+// badly seen cells converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
 class InformationUpdate {
  public:
   InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options) {}
@@ -39,6 +39,11 @@ class InformationUpdate {
   void Predict(const Roi& region, SceneBuffer* buffer);
 
  private:
+  // Keeps the majoriser valid for a PSF whose separable terms leave a little negative mass n: with |B| = B + 2 N, N the negative part,
+  // |B| 1 = 1 + 2 n and N' W <= 4 n max W (reflection folds up to four cells on one), so (1 + 2 n) (B' W + 8 n max W) bounds
+  // |B|' W |B| 1. Nothing to do when n == 0.
+  void AddNegativePart(const Roi& inner, SceneBuffer* buffer) const;
+
   Blur blur_;
   InformationOptions options_;
   int steps_ = 0;

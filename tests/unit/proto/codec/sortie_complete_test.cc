@@ -110,6 +110,29 @@ TEST(CompleteSortie, RefusesWhatLiesBeyondAndNamesTheField) {
   }
 }
 
+// What describes the PSF follows from what is given, and a model that lacks something is refused by the field that is missing.
+TEST(CompleteSortie, ThePsfModelFollowsFromWhatIsGiven) {
+  const auto model_with = [](const std::vector<std::string>& assignments) {
+    v1::Sortie sortie = Minimal();
+    for (const std::string& assignment : assignments) EXPECT_TRUE(ApplyOverride(assignment, &sortie).ok());
+    const Status status = CompleteSortie(&sortie);
+    EXPECT_TRUE(status.ok()) << status.message();
+    return sortie.sensor().psf_model();
+  };
+  EXPECT_EQ(model_with({}), v1::GAUSSIAN);
+  EXPECT_EQ(model_with({"sensor.f_number=4", "sensor.wavelength_um=4", "sensor.pixel_pitch_um=15"}), v1::OPTICS);
+  EXPECT_EQ(model_with({"sensor.psf_model=GAUSSIAN", "sensor.f_number=4"}), v1::GAUSSIAN);
+  for (const auto& [assignments, field] : std::vector<std::pair<std::vector<std::string>, std::string>>{
+           {{"sensor.f_number=4", "sensor.wavelength_um=4"}, "sensor.pixel_pitch_um"},
+           {{"sensor.psf_model=OPTICS"}, "sensor.wavelength_um"},
+           {{"sensor.f_number=4", "sensor.wavelength_um=30", "sensor.pixel_pitch_um=15"}, "sensor.wavelength_um"},
+           {{"sensor.f_number=100", "sensor.wavelength_um=10", "sensor.pixel_pitch_um=15"}, "sensor.wavelength_um * f_number / pixel_pitch_um"},
+           {{"sensor.smear_px=10.1"}, "sensor.smear_px"},
+           {{"sensor.smear_px=1", "sensor.smear_direction_deg=400"}, "sensor.smear_direction_deg"}}) {
+    EXPECT_THAT(CompleteWith(assignments).message(), StartsWith(field)) << assignments.front();
+  }
+}
+
 TEST(CompleteSortie, RefusesNumbersThatAreNotFinite) {
   for (const double bad : {std::nan(""), std::numeric_limits<double>::infinity(), -std::numeric_limits<double>::infinity()}) {
     for (const char* path : {"psf", "fill", "noise", "forgetting", "weight", "gsd", "rate", "position", "attitude", "elevation"}) {

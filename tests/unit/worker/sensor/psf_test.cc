@@ -23,9 +23,9 @@ double IntegratedDensity(double x, double sigma, double box) {
   return sum / (kSteps * sigma * std::sqrt(2.0 * std::numbers::pi));
 }
 
-class Psf : public ::testing::TestWithParam<std::tuple<double, double, int>> {};
+class GaussianPsf : public ::testing::TestWithParam<std::tuple<double, double, int>> {};
 
-TEST_P(Psf, SumsToOneAndMatchesNumericIntegration) {
+TEST_P(GaussianPsf, SumsToOneAndMatchesNumericIntegration) {
   const auto [sigma_px, fill_factor, ratio] = GetParam();
   const Result<SeparablePsf> psf = MakePsf({sigma_px, fill_factor}, ratio);
   ASSERT_TRUE(psf.ok()) << psf.status().message();
@@ -43,7 +43,7 @@ TEST_P(Psf, SumsToOneAndMatchesNumericIntegration) {
   for (std::size_t k = 0; k < expected.size(); ++k) EXPECT_NEAR(psf->taps[k], expected[k] / mass, 1e-6) << "tap " << k;
 }
 
-INSTANTIATE_TEST_SUITE_P(Sensors, Psf,
+INSTANTIATE_TEST_SUITE_P(Sensors, GaussianPsf,
                          ::testing::Values(std::tuple{0.55, 0.9, 3}, std::tuple{0.4, 1.0, 2}, std::tuple{1.2, 0.5, 4},
                                            std::tuple{0.8, 0.7, 3}));
 
