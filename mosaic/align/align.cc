@@ -150,7 +150,7 @@ std::map<std::uint32_t, FramePoints> PointsOfFrames(const AlignGraph& graph, con
       FramePoints& frame = points[view.frame];
       if (frame.views > 0 && frame.piece != state.scenes[s].piece) continue;
       frame.piece = state.scenes[s].piece;
-      frame.world_from_sensor = state.scenes[s].world_from_scene * Homography::FromAffine(view.scene_from_sensor);
+      frame.world_from_sensor = state.scenes[s].world_from_scene * view.scene_from_sensor.ToHomography();
       for (const Eigen::Vector2d& u : RoiCorners(segment.roi_in_sensor)) {
         frame.u.push_back(u);
         frame.x_in_world.push_back(frame.world_from_sensor * u);

@@ -67,13 +67,13 @@ void SpreadFrom(const AlignGraph& graph, std::deque<int> frames, AlignState& sta
       const Tie& tie = graph.ties[static_cast<std::size_t>(t)];
       SceneState& scene = state.scenes[static_cast<std::size_t>(tie.scene)];
       if (state.tie_unusable[static_cast<std::size_t>(t)] || scene.piece >= 0) continue;
-      scene.world_from_scene = frame.world_from_sensor * Homography::FromAffine(graph.ViewOf(tie).scene_from_sensor.Inverse());
+      scene.world_from_scene = frame.world_from_sensor * graph.ViewOf(tie).scene_from_sensor.ToHomography().Inverse();
       scene.piece = frame.piece;
       for (const int back : graph.scenes[static_cast<std::size_t>(tie.scene)].ties) {
         const Tie& other = graph.ties[static_cast<std::size_t>(back)];
         FrameState& next = state.frames[static_cast<std::size_t>(other.frame)];
         if (state.tie_unusable[static_cast<std::size_t>(back)] || next.piece >= 0) continue;
-        next.world_from_sensor = scene.world_from_scene * Homography::FromAffine(graph.ViewOf(other).scene_from_sensor);
+        next.world_from_sensor = scene.world_from_scene * graph.ViewOf(other).scene_from_sensor.ToHomography();
         next.piece = scene.piece;
         frames.push_back(other.frame);
       }

@@ -10,6 +10,7 @@
 #include "mosaic/geometry/affine.h"
 #include "mosaic/geometry/camera.h"
 #include "mosaic/geometry/homography.h"
+#include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/roi.h"
 
 // What the alignment is given and what it finds.
@@ -23,14 +24,16 @@ namespace trem::align {
 
 using Vector6d = Eigen::Matrix<double, 6, 1>;
 using Matrix6d = Eigen::Matrix<double, 6, 6>;
+// 6 x 6 of an affine view or 8 x 8 of a projective one.
+using CornerCovariance = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 8, 8>;
 
 // One frame's view in a segment's chain.
 struct ChainView {
   std::uint32_t frame = 0;
-  Affine scene_from_sensor;  // Cells of the segment's scene plane from sensor pixels.
+  PlanarMap scene_from_sensor;  // Cells of the segment's scene plane from sensor pixels.
   // Covariance of the positions of the ROI's upper left, upper right and lower left pixel as sensor-pixel displacements
-  // (ul.x, ul.y, ur.x, ur.y, ll.x, ll.y), px^2.
-  Matrix6d corner_covariance_px2 = Matrix6d::Zero();
+  // (ul.x, ul.y, ur.x, ur.y, ll.x, ll.y), px^2. Projective views have (lr.x, lr.y), the lower right pixel, as well.
+  CornerCovariance corner_covariance_px2 = Matrix6d::Zero();
   // frame = gain * scene + offset, internal grey levels.
   double gain = 1.0;
   double offset = 0.0;

@@ -83,9 +83,9 @@ struct FreeProjection {
 
 using Whitener8 = Eigen::Matrix<double, 8, 8>;
 
-// Whitens the residuals of the ROI's four corners: inverse Cholesky factor of J C J' + floor^2 I, J from the affine interpolation
-// between the upper left, upper right and lower left corners.
-Whitener8 TieWhitener(const Matrix6d& corner_covariance_px2, double floor_px);
+// Whitens the residuals of the ROI's four corners: inverse Cholesky factor of J C J' + floor^2 I. C 6 x 6: J is the affine
+// extrapolation from the upper left, upper right and lower left corners; 8 x 8: the order of the corners alone changes.
+Whitener8 TieWhitener(const CornerCovariance& corner_covariance_px2, double floor_px);
 
 // Where a frame sees the scene's points against where the chain says it sees them: 4 ROI corners, 8 whitened residuals.
 template <typename Projection>

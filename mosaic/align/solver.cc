@@ -18,16 +18,21 @@
 
 namespace trem::align {
 
-Whitener8 TieWhitener(const Matrix6d& corner_covariance_px2, double floor_px) {
+Whitener8 TieWhitener(const CornerCovariance& corner_covariance_px2, double floor_px) {
+  const bool projective = corner_covariance_px2.rows() == 8;
   // Corners in the order of RoiCorners; their affine coordinates along the upper and left side.
   constexpr double kAlong[4] = {0.0, 1.0, 1.0, 0.0};
   constexpr double kDown[4] = {0.0, 0.0, 1.0, 1.0};
-  Eigen::Matrix<double, 8, 6> corners_from_three = Eigen::Matrix<double, 8, 6>::Zero();
+  constexpr double kIsLowerRight[4] = {0.0, 0.0, 1.0, 0.0};
+  Eigen::Matrix<double, 8, Eigen::Dynamic> corners_from_own = Eigen::MatrixXd::Zero(8, corner_covariance_px2.rows());
   for (int k = 0; k < 4; ++k) {
-    const double weights[3] = {1.0 - kAlong[k] - kDown[k], kAlong[k], kDown[k]};
-    for (int c = 0; c < 3; ++c) corners_from_three.block<2, 2>(2 * k, 2 * c) = weights[c] * Eigen::Matrix2d::Identity();
+    const double own = projective ? kIsLowerRight[k] : 0.0;
+    const double weights[4] = {own > 0.0 ? 0.0 : 1.0 - kAlong[k] - kDown[k], kAlong[k] - own, kDown[k] - own, own};
+    for (int c = 0; c < corner_covariance_px2.rows() / 2; ++c) {
+      corners_from_own.block<2, 2>(2 * k, 2 * c) = weights[c] * Eigen::Matrix2d::Identity();
+    }
   }
-  Whitener8 covariance = corners_from_three * corner_covariance_px2 * corners_from_three.transpose();
+  Whitener8 covariance = corners_from_own * corner_covariance_px2 * corners_from_own.transpose();
   covariance.diagonal().array() += floor_px * floor_px;
   const Eigen::LLT<Whitener8> llt(covariance);
   TREM_CHECK(llt.info() == Eigen::Success);

@@ -10,15 +10,17 @@ namespace {
 constexpr const char* kHeader =
     "frame_index,frame,time_s,window,segment,status,reason,"
     "scene_from_sensor_11,scene_from_sensor_12,scene_from_sensor_13,scene_from_sensor_21,scene_from_sensor_22,scene_from_sensor_23,"
+    "scene_from_sensor_31,scene_from_sensor_32,"
     "gain,offset,residual_rms,correlation,overlap,"
     "world_from_sensor_11,world_from_sensor_12,world_from_sensor_13,world_from_sensor_21,world_from_sensor_22,world_from_sensor_23,"
     "world_from_sensor_31,world_from_sensor_32,world_from_sensor_33\n";
 
 std::string FitColumns(const std::optional<ChainFit>& fit) {
-  if (!fit) return std::string(11, ',');
+  if (!fit) return std::string(13, ',');
   const Eigen::Matrix2d& a = fit->scene_from_sensor.linear;
   const Eigen::Vector2d& b = fit->scene_from_sensor.offset;
-  return fmt::format(",{},{},{},{},{},{},{},{},{},{},{}", a(0, 0), a(0, 1), b(0), a(1, 0), a(1, 1), b(1), fit->gain, fit->offset,
+  const Eigen::Vector2d& p = fit->scene_from_sensor.perspective;
+  return fmt::format(",{},{},{},{},{},{},{},{},{},{},{},{},{}", a(0, 0), a(0, 1), b(0), a(1, 0), a(1, 1), b(1), p(0), p(1), fit->gain, fit->offset,
                      fit->residual_rms, fit->correlation, fit->overlap);
 }
 

@@ -7,15 +7,15 @@
 #include <string>
 
 #include "mosaic/base/status.h"
-#include "mosaic/geometry/affine.h"
 #include "mosaic/geometry/homography.h"
+#include "mosaic/geometry/planar_map.h"
 
 namespace trem {
 
 // How a frame fitted into the scene of one segment of a window.
 struct ChainFit {
   std::uint32_t segment_id = 0;
-  Affine scene_from_sensor;  // Cells from sensor pixels.
+  PlanarMap scene_from_sensor;  // Cells from sensor pixels.
   double gain = 1.0;         // frame = gain * scene + offset, internal grey levels.
   double offset = 0.0;
   double residual_rms = 0.0;  // Internal grey levels.

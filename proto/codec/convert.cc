@@ -102,6 +102,22 @@ Result<Affine> AffineFromProto(const google::protobuf::RepeatedField<double>& nu
   return affine;
 }
 
+void ToProto(const PlanarMap& map, google::protobuf::RepeatedField<double>* numbers) {
+  if (map.IsAffine()) return ToProto(Affine{map.linear, map.offset}, numbers);
+  ToProto(map.ToHomography(), numbers);
+}
+
+Result<PlanarMap> PlanarMapFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field) {
+  if (numbers.size() != 9) {
+    TREM_ASSIGN_OR_RETURN(const Affine affine, AffineFromProto(numbers, field));
+    return PlanarMap(affine);
+  }
+  TREM_ASSIGN_OR_RETURN(const Homography h, HomographyFromProto(numbers, field));
+  if (h.matrix(2, 2) != 1.0) return Corrupt(std::string(field) + " has 9 numbers and the last one is not 1");
+  if (std::abs(h.matrix.determinant()) < 1e-12) return Corrupt(std::string(field) + " is singular");
+  return PlanarMap::FromHomography(h);
+}
+
 Result<Homography> HomographyFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field) {
   TREM_RETURN_IF_ERROR(CheckNumbers(numbers, 9, field));
   Homography homography;

@@ -4,6 +4,7 @@
 #include "mosaic/base/status.h"
 #include "mosaic/geometry/affine.h"
 #include "mosaic/geometry/homography.h"
+#include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/mosaic_grid.h"
 #include "mosaic/geometry/roi.h"
 #include "proto/trem/v1/task.pb.h"
@@ -25,7 +26,10 @@ Result<MosaicGrid> FromProto(const v1::MosaicGridMessage& message);
 // Row-major 2x3 and 3x3.
 void ToProto(const Affine& affine, google::protobuf::RepeatedField<double>* numbers);
 void ToProto(const Homography& homography, google::protobuf::RepeatedField<double>* numbers);
+void ToProto(const PlanarMap& map, google::protobuf::RepeatedField<double>* numbers);
 Result<Affine> AffineFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field);
+// 6 numbers (2x3) or 9 (3x3, the last one 1), row-major.
+Result<PlanarMap> PlanarMapFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field);
 Result<Homography> HomographyFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field);
 
 // Deterministic bytes of a message (map-free schemas, fixed field order): what artefacts are made of.

@@ -61,6 +61,9 @@ TEST_P(SimulatedSortie, GivesAMosaicThatIsWholeInPlaceAndSharper) {
 
 INSTANTIATE_TEST_SUITE_P(Flights, SimulatedSortie,
                          ::testing::Values(Scenario{"Nadir", {}, {}}, Scenario{"Oblique", {"--pitch-deg", "-45"}, {}},
+                                           Scenario{"WideProjective",
+                                                    {"--pitch-deg", "-45", "--hfov-deg", "20"},
+                                                    {"--set", "tre.view_model=PROJECTIVE"}},
                                            Scenario{"Movers", {"--movers", "8", "--drop", "0.03"}, {}},
                                            Scenario{"SixteenBit", {"--bits", "16", "--seed", "2"}, {}},
                                            Scenario{"RatioTwo", {}, {"--set", "tre.ratio=2"}},

@@ -36,7 +36,7 @@ struct Choice {
   const v1::Segment* segment = nullptr;
   const v1::EmittedScene* scene = nullptr;
   const v1::ChainView* reference = nullptr;
-  Affine pixel_from_sensor;  // Pixels of the scene raster from sensor pixels of the reference frame.
+  PlanarMap pixel_from_sensor;  // Pixels of the scene raster from sensor pixels of the reference frame.
 };
 
 // Source grey level = offset + scale * internal intensity.
@@ -65,10 +65,11 @@ Status NothingEnhanced(const v1::WindowResult& window) {
                             window.frame_end(), why.empty() ? "" : ": the first one ", why));
 }
 
-Result<Affine> PixelFromSensor(const v1::ChainView& view, const v1::EmittedScene& scene) {
-  TREM_ASSIGN_OR_RETURN(Affine pixel_from_sensor, AffineFromProto(view.scene_from_sensor(), "scene_from_sensor"));
-  pixel_from_sensor.offset -= Eigen::Vector2d(scene.roi_in_scene().x0(), scene.roi_in_scene().y0());
-  return pixel_from_sensor;
+Result<PlanarMap> PixelFromSensor(const v1::ChainView& view, const v1::EmittedScene& scene) {
+  TREM_ASSIGN_OR_RETURN(const PlanarMap scene_from_sensor, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
+  Affine pixel_from_scene;
+  pixel_from_scene.offset = -Eigen::Vector2d(scene.roi_in_scene().x0(), scene.roi_in_scene().y0());
+  return PlanarMap(pixel_from_scene) * scene_from_sensor;
 }
 
 Result<Choice> Choose(const v1::WindowResult& window, std::optional<int> reference) {
@@ -103,7 +104,10 @@ FloatRaster SceneFile(const EnhancedWindow& enhanced, const Choice& choice, cons
   raster.bands.push_back({"intensity", std::move(intensity)});
   raster.bands.push_back({"information", scene.information});
   raster.nodata = std::numeric_limits<double>::quiet_NaN();
-  raster.geotransform = GeoTransformFromAffine(choice.pixel_from_sensor.Inverse());
+  // A geotransform is affine; of a projective reference view it is the one that agrees at the ROI's centre.
+  const Roi seen = FromProto(enhanced.window->roi_in_sensor());
+  const Eigen::Vector2d centre(0.5 * (seen.x0 + seen.x1 - 1), 0.5 * (seen.y0 + seen.y1 - 1));
+  raster.geotransform = GeoTransformFromAffine(choice.pixel_from_sensor.LinearisedAt(centre).Inverse());
   const std::uint32_t index = choice.reference->frame_index();
   const Roi roi = FromProto(enhanced.window->roi_in_sensor());
   raster.metadata["REFERENCE_FRAME"] = enhanced.manifest->frames(static_cast<int>(index)).name();
@@ -113,11 +117,12 @@ FloatRaster SceneFile(const EnhancedWindow& enhanced, const Choice& choice, cons
   return raster;
 }
 
-// Largest standard deviation of a corner coordinate [px]: the diagonal of the upper triangle of the 6 x 6 covariance.
+// Largest standard deviation of a corner coordinate [px]: the diagonal of the upper triangle of the 6 x 6 or 8 x 8 covariance.
 double CornerSigma(const v1::ChainView& view) {
   double largest = 0.0;
   int index = 0;
-  for (int row = 0; row < 6; index += 6 - row, ++row) {
+  const int parameters = view.corner_covariance_px2_size() == 36 ? 8 : 6;
+  for (int row = 0; row < parameters; index += parameters - row, ++row) {
     if (index < view.corner_covariance_px2_size()) largest = std::max(largest, view.corner_covariance_px2(index));
   }
   return std::sqrt(largest);
@@ -127,18 +132,18 @@ double CornerSigma(const v1::ChainView& view) {
 Result<std::string> ChainCsv(const EnhancedWindow& enhanced, const Choice& choice, const GreyScale& grey) {
   std::string csv =
       "frame_index,frame,status,reason,segment,scene_from_sensor_11,scene_from_sensor_12,scene_from_sensor_13,scene_from_sensor_21,"
-      "scene_from_sensor_22,scene_from_sensor_23,gain,offset,residual_rms,correlation,overlap,corner_sigma_px\n";
+      "scene_from_sensor_22,scene_from_sensor_23,scene_from_sensor_31,scene_from_sensor_32,gain,offset,residual_rms,correlation,overlap,corner_sigma_px\n";
   std::multimap<std::uint32_t, std::string> fits;
   for (const v1::Segment& segment : enhanced.window->segments()) {
     for (const v1::ChainView& view : segment.chain()) {
-      TREM_ASSIGN_OR_RETURN(Affine a, AffineFromProto(view.scene_from_sensor(), "scene_from_sensor"));
+      TREM_ASSIGN_OR_RETURN(PlanarMap a, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
       if (&segment == choice.segment) {
         TREM_ASSIGN_OR_RETURN(a, PixelFromSensor(view, *choice.scene));
       }
       const double offset = grey.scale * view.offset() + grey.offset * (1.0 - view.gain());
       fits.emplace(view.frame_index(),
-                   fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{}", segment.segment_id(), a.linear(0, 0), a.linear(0, 1), a.offset(0),
-                               a.linear(1, 0), a.linear(1, 1), a.offset(1), view.gain(), offset, grey.scale * view.residual_rms(),
+                   fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}", segment.segment_id(), a.linear(0, 0), a.linear(0, 1), a.offset(0),
+                               a.linear(1, 0), a.linear(1, 1), a.offset(1), a.perspective(0), a.perspective(1), view.gain(), offset, grey.scale * view.residual_rms(),
                                view.correlation(), view.overlap(), CornerSigma(view)));
     }
   }
@@ -147,7 +152,7 @@ Result<std::string> ChainCsv(const EnhancedWindow& enhanced, const Choice& choic
         fmt::format("{},{},{},{}", frame.frame_index(), CsvField(enhanced.manifest->frames(static_cast<int>(frame.frame_index())).name()),
                     OutcomeName(frame.outcome()), CsvField(frame.reason()));
     const auto [begin, end] = fits.equal_range(frame.frame_index());
-    if (begin == end) csv += start + std::string(13, ',') + "\n";
+    if (begin == end) csv += start + std::string(15, ',') + "\n";
     for (auto fit = begin; fit != end; ++fit) csv += start + "," + fit->second + "\n";
   }
   return csv;

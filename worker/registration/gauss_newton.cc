@@ -11,8 +11,9 @@
 namespace trem {
 namespace {
 
-using Vector8 = Eigen::Matrix<double, 8, 1>;
-using Matrix8 = Eigen::Matrix<double, 8, 8>;
+// Corner displacements, gain, offset: 8 or 10 parameters.
+using Parameters = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 10, 1>;
+using ParameterMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 10, 10>;
 
 // Least part of the ROI's pixels that must have seen scene behind them for a step to mean anything.
 constexpr double kOverlapMin = 0.05;
@@ -29,8 +30,9 @@ struct Level {
 
 // Gauss-Newton's normal equations at one view, with what validation needs.
 struct Normal {
-  Matrix8 a = Matrix8::Zero();
-  Vector8 b = Vector8::Zero();
+  explicit Normal(Eigen::Index parameters) : a(ParameterMatrix::Zero(parameters, parameters)), b(Parameters::Zero(parameters)) {}
+  ParameterMatrix a;
+  Parameters b;
   double weight = 0.0;        // Sum of seen weights.
   double robust_weight = 0.0;
   double cost = 0.0;          // Mean Huber cost per unit seen weight, in sigma^2.
@@ -47,16 +49,19 @@ double LevelFromFull(double x, double step) { return (x - 0.5 * (step - 1.0)) / 
 
 // `residuals`, when given, receives |r| of every used pixel.
 Normal Accumulate(const Observation& observation, const Reference& reference, const Level& level, const View& view, double sigma,
-                  double huber_sigmas, std::vector<float>* residuals) {
-  Normal normal;
+                  double huber_sigmas, ViewModel model, std::vector<float>* residuals) {
+  const Eigen::Index corners = ParameterCount(model);
+  Normal normal(corners + 2);
   const Roi& roi = observation.roi;
   const double inverse_sigma2 = 1.0 / (sigma * sigma);
   const double huber = huber_sigmas * sigma;
-  const Eigen::Matrix2d& m = view.scene_from_sensor.linear;
+  const bool affine = view.scene_from_sensor.IsAffine();
+  Eigen::Matrix2d m = view.scene_from_sensor.linear;
+  Parameters j(corners + 2);
   for (int v = level.pixel_stride / 2; v < level.frame->height(); v += level.pixel_stride) {
     const float* frame_row = level.frame->row(v);
-    Matrix8 row_a = Matrix8::Zero();
-    Vector8 row_b = Vector8::Zero();
+    ParameterMatrix row_a = ParameterMatrix::Zero(corners + 2, corners + 2);
+    Parameters row_b = Parameters::Zero(corners + 2);
     for (int u = level.pixel_stride / 2; u < level.frame->width(); u += level.pixel_stride) {
       const float intensity = frame_row[u];
       ++normal.candidates;
@@ -83,11 +88,12 @@ Normal Accumulate(const Observation& observation, const Reference& reference, co
       normal.sum_i += seen * robust * intensity;
       normal.sum_i2 += seen * robust * intensity * intensity;
       // d(prediction)/d(sensor point): through M, in cells (level gradients are per level pixel).
+      if (!affine) m = view.scene_from_sensor.LinearisedAt(sensor).linear;
       const double gx = view.gain * (p.dx * m(0, 0) + p.dy * m(1, 0)) / level.reference_step;
       const double gy = view.gain * (p.dx * m(0, 1) + p.dy * m(1, 1)) / level.reference_step;
-      const Eigen::Vector3d w = CornerWeights(roi, sensor);
-      Vector8 j;
-      j << gx * w(0), gy * w(0), gx * w(1), gy * w(1), gx * w(2), gy * w(2), p.value, 1.0;
+      j.head(corners).noalias() = CornerJacobian(roi, sensor, model).transpose() * Eigen::Vector2d(gx, gy);
+      j(corners) = p.value;
+      j(corners + 1) = 1.0;
       const double scale = seen * robust * inverse_sigma2;
       row_a.noalias() += (scale * j) * j.transpose();
       row_b.noalias() += (scale * r) * j;
@@ -100,40 +106,42 @@ Normal Accumulate(const Observation& observation, const Reference& reference, co
 
 // Adds the prior's pull at `view`.
 void AddPrior(const ViewPrior& prior, const View& view, const Roi& roi, Normal* normal) {
-  const CornerVector d = CornerDisplacement(prior.mean.scene_from_sensor, view.scene_from_sensor, roi);
-  normal->a.topLeftCorner<6, 6>() += prior.information;
-  normal->b.head<6>() -= prior.information * d;
+  const Eigen::Index n = prior.information.rows();
+  const CornerVector d = CornerDisplacement(prior.mean.scene_from_sensor, view.scene_from_sensor, roi, ModelOf(n));
+  normal->a.topLeftCorner(n, n) += prior.information;
+  normal->b.head(n) -= prior.information * d;
   const double gain_information = 1.0 / (prior.gain_sigma * prior.gain_sigma);
   const double offset_information = 1.0 / (prior.offset_sigma * prior.offset_sigma);
-  normal->a(6, 6) += gain_information;
-  normal->b(6) -= gain_information * (view.gain - prior.mean.gain);
-  normal->a(7, 7) += offset_information;
-  normal->b(7) -= offset_information * (view.offset - prior.mean.offset);
+  normal->a(n, n) += gain_information;
+  normal->b(n) -= gain_information * (view.gain - prior.mean.gain);
+  normal->a(n + 1, n + 1) += offset_information;
+  normal->b(n + 1) -= offset_information * (view.offset - prior.mean.offset);
 }
 
 double OverlapOf(const Normal& normal) {
   return normal.candidates > 0 ? static_cast<double>(normal.pixels) / static_cast<double>(normal.candidates) : 0.0;
 }
 
-View Moved(const View& view, const Roi& roi, const Vector8& step) {
-  return {Displace(view.scene_from_sensor, roi, step.head<6>()), view.gain + step(6), view.offset + step(7)};
+View Moved(const View& view, const Roi& roi, const Parameters& step) {
+  const Eigen::Index n = step.size() - 2;
+  return {Displace(view.scene_from_sensor, roi, step.head(n)), view.gain + step(n), view.offset + step(n + 1)};
 }
 
 // Iterates at one level from `view`; true when the last step was below the tolerance.
 bool IterateLevel(const Observation& observation, const Reference& reference, const Level& level, const ViewPrior& prior,
                   const GaussNewtonOptions& options, double sigma, double tolerance_px, View* view) {
   for (int iteration = 0; iteration < options.iterations_max; ++iteration) {
-    Normal normal = Accumulate(observation, reference, level, *view, sigma, options.huber_sigmas, nullptr);
+    Normal normal = Accumulate(observation, reference, level, *view, sigma, options.huber_sigmas, ModelOf(prior.information.rows()), nullptr);
     if (OverlapOf(normal) < kOverlapMin) return false;
     AddPrior(prior, *view, observation.roi, &normal);
     // A trace of damping keeps an untextured ROI with a flat prior solvable.
-    Matrix8 damped = normal.a;
+    ParameterMatrix damped = normal.a;
     damped.diagonal() *= 1.0 + 1e-9;
     damped.diagonal().array() += 1e-9;
-    const Vector8 step = damped.ldlt().solve(normal.b);
+    const Parameters step = damped.ldlt().solve(normal.b);
     if (!step.allFinite()) return false;
     *view = Moved(*view, observation.roi, step);
-    const double largest = step.head<6>().cwiseAbs().maxCoeff();
+    const double largest = step.head(step.size() - 2).cwiseAbs().maxCoeff();
     if (largest < tolerance_px) return true;
     // A step of a good part of the ROI is a divergence, not a registration.
     if (largest > 0.75 * std::max(observation.roi.width(), observation.roi.height())) return false;
@@ -147,13 +155,15 @@ Level FinestLevel(const Observation& observation, const Reference& reference) {
 
 void Summarise(const Observation& observation, const Reference& reference, const ViewPrior& prior, double huber_sigmas,
                Registration* result) {
+  const Eigen::Index n = prior.information.rows();
   std::vector<float> residuals;
   residuals.reserve(static_cast<std::size_t>(observation.roi.area()));
   Normal normal =
-      Accumulate(observation, reference, FinestLevel(observation, reference), result->view, observation.noise_sigma, huber_sigmas, &residuals);
+      Accumulate(observation, reference, FinestLevel(observation, reference), result->view, observation.noise_sigma, huber_sigmas, ModelOf(n), &residuals);
   result->overlap = OverlapOf(normal);
   if (result->overlap < kOverlapMin) {
     result->converged = false;
+    result->corner_covariance = CornerMatrix::Zero(n, n);
     return;
   }
   result->residual_rms = std::sqrt(normal.sum_w_r2 / normal.robust_weight);
@@ -167,8 +177,8 @@ void Summarise(const Observation& observation, const Reference& reference, const
   const double inflation = std::max(1.0, std::pow(result->residual_rms / observation.noise_sigma, 2));
   normal.a /= inflation;
   AddPrior(prior, result->view, observation.roi, &normal);
-  const Matrix8 covariance = normal.a.ldlt().solve(Matrix8::Identity());
-  result->corner_covariance = covariance.topLeftCorner<6, 6>();
+  const ParameterMatrix covariance = normal.a.ldlt().solve(ParameterMatrix::Identity(n + 2, n + 2));
+  result->corner_covariance = covariance.topLeftCorner(n, n);
   result->gain_offset_covariance = covariance.bottomRightCorner<2, 2>();
   result->motion_from_prior_px =
       LargestCornerMotion(prior.mean.scene_from_sensor, result->view.scene_from_sensor, observation.roi);

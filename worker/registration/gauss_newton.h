@@ -6,10 +6,10 @@
 namespace trem {
 
 // What is believed of the view before looking at the pixels: Gaussian about `mean` with `information` (inverse covariance) over corner
-// displacements [1/px^2], and Gaussian gain and offset.
+// displacements [1/px^2], and Gaussian gain and offset. The size of `information`, 6 x 6 or 8 x 8, is the view model that is fitted.
 struct ViewPrior {
   View mean;
-  CornerMatrix information = CornerMatrix::Zero();
+  CornerMatrix information = CornerMatrix::Zero(6, 6);
   double gain_sigma = 0.1;
   double offset_sigma = 20.0;
 };
@@ -29,7 +29,7 @@ struct GaussNewtonOptions {
 struct Registration {
   View view;
   // Laplace approximation: (J' W J / sigma^2 + prior)^-1 over the corner displacements, gain and offset marginalised [px^2].
-  CornerMatrix corner_covariance = CornerMatrix::Zero();
+  CornerMatrix corner_covariance = CornerMatrix::Zero(6, 6);
   Eigen::Matrix2d gain_offset_covariance = Eigen::Matrix2d::Zero();
   double residual_rms = 0.0;    // Robustly weighted, internal grey levels.
   double residual_sigma = 0.0;  // 1.4826 * median |residual|.
@@ -43,7 +43,7 @@ struct Registration {
 //
 //   sum_u s(u) rho((I(u) - g P(M u) - o) / sigma) + prior,   s = n / (n + 1) for cells seen n times, rho Huber's
 //
-// by Gauss-Newton over 6 corner displacements, gain and offset, from `start`. Deterministic; the sums run row by row in a fixed order.
+// by Gauss-Newton over 6 or 8 corner displacements, gain and offset, from `start`. Deterministic; the sums run row by row in a fixed order.
 // Source: Lucas & Kanade 1981; Baker & Matthews, IJCV 56(3) 2004 (forward compositional). A registration without enough overlap comes
 // back with overlap < 0.05 and converged == false.
 Registration RegisterGaussNewton(const Observation& observation, const Reference& reference, const ViewPrior& prior, const View& start,

@@ -17,7 +17,7 @@ constexpr double kGainStep = 0.03;    // Scale of the capture search, relative a
 constexpr double kOffsetStep = 3.0;
 
 View ViewAt(const ViewPrior& prior, const Roi& roi, const HintsState& x) {
-  return {Displace(prior.mean.scene_from_sensor, roi, x.head<6>()), prior.mean.gain + x(6), prior.mean.offset + x(7)};
+  return {Displace(prior.mean.scene_from_sensor, roi, CornerVector(x.head<6>())), prior.mean.gain + x(6), prior.mean.offset + x(7)};
 }
 
 // log p(pixel | view) of a grid of pixels at one resolution.
@@ -68,7 +68,7 @@ class PixelTarget : public AdditiveTarget {
     const CornerVector d = x.head<6>();
     const double gain = x(6) / prior_.gain_sigma;
     const double offset = x(7) / prior_.offset_sigma;
-    return -0.5 * (d.dot(prior_.information * d) + gain * gain + offset * offset);
+    return -0.5 * (d.dot(prior_.information.topLeftCorner<6, 6>() * d) + gain * gain + offset * offset);
   }
 
  private:
@@ -112,7 +112,7 @@ Registration RegisterHints(const Observation& observation, const Reference& refe
   HintsMatrix shape = CaptureShape();
   if (full && laplace.overlap > 0.0) {
     HintsMatrix covariance = HintsMatrix::Zero(8, 8);
-    covariance.topLeftCorner<6, 6>() = laplace.corner_covariance;
+    covariance.topLeftCorner<6, 6>() = laplace.corner_covariance.topLeftCorner<6, 6>();
     covariance.bottomRightCorner<2, 2>() = laplace.gain_offset_covariance;
     const Eigen::LLT<HintsMatrix> cholesky(covariance);
     if (cholesky.info() == Eigen::Success) shape = cholesky.matrixL();
@@ -123,7 +123,7 @@ Registration RegisterHints(const Observation& observation, const Reference& refe
   const View view = ViewAt(prior, observation.roi, full ? draws->mean : draws->best);
   Registration registration = EvaluateView(observation, reference, prior, view);
   registration.converged = registration.overlap > 0.0;
-  if (full) registration.corner_covariance = draws->covariance.topLeftCorner<6, 6>();
+  if (full) registration.corner_covariance.topLeftCorner<6, 6>() = draws->covariance.topLeftCorner<6, 6>();
   return registration;
 }
 

@@ -18,19 +18,21 @@ bool AllFinite(const google::protobuf::RepeatedField<double>& numbers) {
   return std::all_of(numbers.begin(), numbers.end(), [](double x) { return std::isfinite(x); });
 }
 
-// The 6x6 matrix of 21 numbers, with eigenvalues kept within 1e-4 .. 100 px: a registration may claim less or more, but neither helps.
-Result<align::Matrix6d> CornerCovariance(const google::protobuf::RepeatedField<double>& numbers) {
-  if (numbers.size() != 21 || !AllFinite(numbers)) {
-    return Corrupt("corner_covariance_px2 has " + std::to_string(numbers.size()) + " numbers; expected 21 finite ones");
+// The 6x6 matrix of 21 numbers or the 8x8 one of 36, with eigenvalues kept within 1e-4 .. 100 px: a registration may claim less or
+// more, but neither helps.
+Result<align::CornerCovariance> CornerCovariance(const google::protobuf::RepeatedField<double>& numbers) {
+  if ((numbers.size() != 21 && numbers.size() != 36) || !AllFinite(numbers)) {
+    return Corrupt("corner_covariance_px2 has " + std::to_string(numbers.size()) + " numbers; expected 21 finite ones, or 36 of a projective view");
   }
-  align::Matrix6d matrix;
+  const int parameters = numbers.size() == 21 ? 6 : 8;
+  align::CornerCovariance matrix(parameters, parameters);
   int next = 0;
-  for (int row = 0; row < 6; ++row) {
-    for (int column = row; column < 6; ++column) matrix(row, column) = matrix(column, row) = numbers[next++];
+  for (int row = 0; row < parameters; ++row) {
+    for (int column = row; column < parameters; ++column) matrix(row, column) = matrix(column, row) = numbers[next++];
   }
-  const Eigen::SelfAdjointEigenSolver<align::Matrix6d> eigen(matrix);
-  const align::Vector6d values = eigen.eigenvalues().cwiseMax(1e-8).cwiseMin(1e4);
-  return align::Matrix6d(eigen.eigenvectors() * values.asDiagonal() * eigen.eigenvectors().transpose());
+  const Eigen::SelfAdjointEigenSolver<align::CornerCovariance> eigen(matrix);
+  const Eigen::VectorXd values = eigen.eigenvalues().cwiseMax(1e-8).cwiseMin(1e4);
+  return align::CornerCovariance(eigen.eigenvectors() * values.asDiagonal() * eigen.eigenvectors().transpose());
 }
 
 Result<align::ChainView> ViewFromProto(const v1::ChainView& message, std::uint32_t frame_count) {
@@ -40,7 +42,7 @@ Result<align::ChainView> ViewFromProto(const v1::ChainView& message, std::uint32
   }
   align::ChainView view;
   view.frame = message.frame_index();
-  TREM_ASSIGN_OR_RETURN(view.scene_from_sensor, AffineFromProto(message.scene_from_sensor(), "chain.scene_from_sensor"));
+  TREM_ASSIGN_OR_RETURN(view.scene_from_sensor, PlanarMapFromProto(message.scene_from_sensor(), "chain.scene_from_sensor"));
   TREM_ASSIGN_OR_RETURN(view.corner_covariance_px2, CornerCovariance(message.corner_covariance_px2()));
   view.gain = message.gain();
   view.offset = message.offset();

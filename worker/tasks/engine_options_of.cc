@@ -35,6 +35,7 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
     case v1::HINTS_THEN_GAUSS_NEWTON: options.registration = RegistrationMethod::kHintsThenGaussNewton; break;
     default: options.registration = RegistrationMethod::kAuto; break;
   }
+  options.view_model = sortie.tre().view_model() == v1::PROJECTIVE ? ViewModel::kProjective : ViewModel::kAffine;
   options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
   if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
   options.iterations = static_cast<int>(sortie.tre().iterations());

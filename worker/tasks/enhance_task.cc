@@ -86,8 +86,9 @@ void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
   view->set_frame_index(static_cast<std::uint32_t>(entry.frame_index));
   const Registration& registration = entry.registration;
   ToProto(registration.view.scene_from_sensor, view->mutable_scene_from_sensor());
-  for (int row = 0; row < 6; ++row) {
-    for (int column = row; column < 6; ++column) view->add_corner_covariance_px2(registration.corner_covariance(row, column));
+  const Eigen::Index parameters = registration.corner_covariance.rows();
+  for (Eigen::Index row = 0; row < parameters; ++row) {
+    for (Eigen::Index column = row; column < parameters; ++column) view->add_corner_covariance_px2(registration.corner_covariance(row, column));
   }
   view->set_gain(registration.view.gain);
   view->set_offset(registration.view.offset);

@@ -30,7 +30,7 @@ std::string StateReason(v1::FrameState state) {
 Result<ChainFit> FitOf(const v1::ChainView& view, std::uint32_t segment_id) {
   ChainFit fit;
   fit.segment_id = segment_id;
-  TREM_ASSIGN_OR_RETURN(fit.scene_from_sensor, AffineFromProto(view.scene_from_sensor(), "ChainView.scene_from_sensor"));
+  TREM_ASSIGN_OR_RETURN(fit.scene_from_sensor, PlanarMapFromProto(view.scene_from_sensor(), "ChainView.scene_from_sensor"));
   fit.gain = view.gain();
   fit.offset = view.offset();
   fit.residual_rms = view.residual_rms();

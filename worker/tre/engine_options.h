@@ -13,6 +13,7 @@ struct EngineOptions {
   PsfParameters psf;
   int ratio = 3;
   RegistrationMethod registration = RegistrationMethod::kAuto;
+  ViewModel view_model = ViewModel::kAffine;
   StructurePriorKind structure = StructurePriorKind::kHuberTv;
   double structure_weight = 1.0;  // Factor on the automatic regularisation. Raise it for smoother, lower for crisper and noisier scenes.
   int iterations = 0;             // Scene updates a frame. 0: 4.

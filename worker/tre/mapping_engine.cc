@@ -19,8 +19,9 @@ constexpr std::size_t kSharedFrames = 6;
 constexpr int kLostFramesMax = 4;
 
 // Why a view no longer suits its scene plane (nothing: it does): turned or stretched too far for the grid's sampling.
-bool TooDeformed(const Affine& scene_from_sensor, int ratio) {
-  const Eigen::Matrix2d relative = scene_from_sensor.linear / ratio;
+bool TooDeformed(const PlanarMap& scene_from_sensor, const Roi& roi, int ratio) {
+  const Eigen::Vector2d centre(0.5 * (roi.x0 + roi.x1 - 1), 0.5 * (roi.y0 + roi.y1 - 1));
+  const Eigen::Matrix2d relative = scene_from_sensor.LinearisedAt(centre).linear / ratio;
   const Eigen::JacobiSVD<Eigen::Matrix2d> svd(relative);
   const double largest = svd.singularValues()(0);
   const double smallest = svd.singularValues()(1);
@@ -59,7 +60,7 @@ class MappingRun {
     }
     const JudgedRegistration judged = segment_->RegisterFrame(frame, noise_sigma_);
     if (!judged.doubt.empty()) return Lose(k, judged.doubt);
-    if (TooDeformed(judged.registration.view.scene_from_sensor, options_.ratio) && k > segment_start_ + 1) return Rebase(k);
+    if (TooDeformed(judged.registration.view.scene_from_sensor, roi_, options_.ratio) && k > segment_start_ + 1) return Rebase(k);
     TREM_RETURN_IF_ERROR(segment_->AddFrame(frame, judged.registration, noise_sigma_, [this](const SceneSnapshot& s) { return Emit(s); }));
     result_.segments.back().chain.push_back({frame.frame_index, judged.registration});
     lost_ = 0;

@@ -77,9 +77,11 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       update_(Blur(psf), UpdateOptions(options)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
+  const int parameters = ParameterCount(options.view_model);
+  covariance_ = CornerMatrix::Zero(parameters, parameters);
 }
 
-Roi Segment::Footprint(const Affine& scene_from_sensor) const {
+Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
   Eigen::Vector2d low = Eigen::Vector2d::Constant(1e30);
   Eigen::Vector2d high = -low;
   for (const int x : {roi_.x0, roi_.x1 - 1}) {
@@ -94,7 +96,7 @@ Roi Segment::Footprint(const Affine& scene_from_sensor) const {
 }
 
 void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& region) {
-  const Affine sensor_from_scene = view.scene_from_sensor.Inverse();
+  const PlanarMap sensor_from_scene = view.scene_from_sensor.Inverse();
   const Roi inner = buffer_.InBuffer(region);
   const double x_max = frame.pixels.width() - 2.001;
   const double y_max = frame.pixels.height() - 2.001;
@@ -154,7 +156,7 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   Update(frame, view_, noise_sigma, kFirstIterations);
   Registration registration;
   registration.view = view_;
-  registration.corner_covariance = CornerMatrix::Identity() * 1e-8;
+  registration.corner_covariance = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * 1e-8;
   registration.gain_offset_covariance = Eigen::Matrix2d::Identity() * 1e-8;
   registration.residual_rms = noise_sigma;
   registration.residual_sigma = noise_sigma;
@@ -168,11 +170,11 @@ ViewPrior Segment::Predict(const FrameInput& frame) const {
   ViewPrior prior;
   prior.mean = view_;
   const bool measured = frame.previous_from_current.has_value();
-  const Affine motion = measured ? *frame.previous_from_current : previous_from_current_;
+  const PlanarMap motion = measured ? PlanarMap(*frame.previous_from_current) : previous_from_current_;
   prior.mean.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * motion;
   const double sigma = (measured ? kMotionSigmaPx : kVelocitySigmaPx) * std::sqrt(1.0 + skipped_);
   // The last view's own uncertainty is part of the prediction's: a ROI without texture must not gain confidence by being predicted.
-  const CornerMatrix covariance = covariance_ + CornerMatrix::Identity() * sigma * sigma;
+  const CornerMatrix covariance = covariance_ + CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * sigma * sigma;
   prior.information = covariance.inverse();
   prior.gain_sigma = 0.1;
   prior.offset_sigma = 15.0;
@@ -215,7 +217,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
     buffer_.MoveTo(grown);
   }
   previous_from_current_ = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
-  lost_from_current_ = Affine{};
+  lost_from_current_ = PlanarMap{};
   skipped_ = 0;
   view_ = registration.view;
   covariance_ = registration.corner_covariance;
@@ -224,7 +226,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
 }
 
 void Segment::SkipFrame(const FrameInput& frame) {
-  lost_from_current_ = lost_from_current_ * (frame.previous_from_current ? *frame.previous_from_current : previous_from_current_);
+  lost_from_current_ = lost_from_current_ * (frame.previous_from_current ? PlanarMap(*frame.previous_from_current) : previous_from_current_);
   ++skipped_;
 }
 

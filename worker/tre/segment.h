@@ -31,7 +31,7 @@ class Segment {
 
  private:
   // Cells that the view's ROI covers, with the PSF's radius around them.
-  Roi Footprint(const Affine& scene_from_sensor) const;
+  Roi Footprint(const PlanarMap& scene_from_sensor) const;
   // Where the next frame is expected: whole-image motion when known, else constant velocity.
   ViewPrior Predict(const FrameInput& frame) const;
   // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
@@ -48,9 +48,9 @@ class Segment {
   InformationUpdate update_;
   SceneBuffer buffer_;
   View view_;                    // Of the last registered frame.
-  Affine previous_from_current_; // Last measured motion, in sensor pixels.
-  Affine lost_from_current_;     // Motion of frames skipped since then.
-  CornerMatrix covariance_ = CornerMatrix::Zero();
+  PlanarMap previous_from_current_; // Last measured motion, in sensor pixels.
+  PlanarMap lost_from_current_;     // Motion of frames skipped since then.
+  CornerMatrix covariance_;      // Of view_, 6 x 6 or 8 x 8.
   Roi last_region_;              // Footprint of the last frame.
   int frame_count_ = 0;
   int skipped_ = 0;

@@ -16,7 +16,6 @@ constexpr double kRad = std::numbers::pi / 180.0;
 constexpr int kWidth = 256;
 constexpr int kHeight = 200;
 constexpr double kAltitudeM = 400.0;
-constexpr double kHfovDeg = 8.0;
 constexpr int kWindowFrames = 20;
 constexpr int kWindowOverlap = 6;
 constexpr int kEmitEvery = 7;
@@ -61,15 +60,21 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
     const Homography scene_from_sensor = world_from_scene.Inverse() * sortie.world_from_sensor[frame];
     std::vector<Eigen::Vector2d> x;
     for (const Eigen::Vector2d& u : corners) x.push_back(scene_from_sensor * u);
-    const Affine clean = *FitAffine(corners, x);
-    // The estimate's sensor_from_scene is off by independent displacements of the upper left, upper right and lower left corner.
-    const std::vector<Eigen::Vector2d> three = {corners[0], corners[1], corners[3]};
+    // The estimate's sensor_from_scene is off by independent displacements of the upper left, upper right and lower left corner, and of
+    // the lower right one when it is projective.
+    std::vector<Eigen::Vector2d> own = {corners[0], corners[1], corners[3]};
+    if (options.projective_views) own.push_back(corners[2]);
     std::vector<Eigen::Vector2d> displaced;
-    for (const Eigen::Vector2d& u : three) displaced.push_back(u + options.view_sigma_px * Eigen::Vector2d(rng.Normal(), rng.Normal()));
+    for (const Eigen::Vector2d& u : own) displaced.push_back(u + options.view_sigma_px * Eigen::Vector2d(rng.Normal(), rng.Normal()));
     ChainView view;
     view.frame = static_cast<std::uint32_t>(t);
-    view.scene_from_sensor = clean * *FitAffine(displaced, three);
-    view.corner_covariance_px2 = variance * Matrix6d::Identity();
+    if (options.projective_views) {
+      view.scene_from_sensor = PlanarMap::FromHomography(scene_from_sensor * *FitHomography(displaced, own));
+    } else {
+      view.scene_from_sensor = *FitAffine(corners, x) * *FitAffine(displaced, own);
+    }
+    const auto parameters = static_cast<Eigen::Index>(2 * own.size());
+    view.corner_covariance_px2 = variance * CornerCovariance::Identity(parameters, parameters);
     view.gain = sortie.frame_gain[frame] / gain * std::exp(0.001 * rng.Normal());
     view.offset = sortie.frame_offset[frame] - view.gain * offset + 0.05 * rng.Normal();
     view.gain_offset_covariance << 1e-6, 0.0, 0.0, 2.5e-3;
@@ -80,7 +85,7 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
     scene.scene_id = static_cast<std::uint32_t>(id);
     scene.frame_begin = static_cast<std::uint32_t>(t);
     scene.frame_end = static_cast<std::uint32_t>(std::min(end, t + kEmitEvery));
-    const Affine& middle =
+    const PlanarMap& middle =
         segment.chain[static_cast<std::size_t>((scene.frame_begin + scene.frame_end) / 2 - static_cast<std::uint32_t>(begin))]
             .scene_from_sensor;
     Eigen::Vector2d low = middle * corners[0], high = low;
@@ -105,7 +110,7 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
   input.ratio = 3;
   input.position_sigma_m = std::max(0.05, options.position_bias_m);
   input.attitude_sigma_rad = std::max(0.005, std::max(options.attitude_bias_deg, options.attitude_white_deg)) * kRad;
-  const CameraIntrinsics intrinsics{kWidth, kHeight, FocalFromHorizontalFov(kWidth, kHfovDeg * kRad)};
+  const CameraIntrinsics intrinsics{kWidth, kHeight, FocalFromHorizontalFov(kWidth, options.hfov_deg * kRad)};
   sortie.gsd_m = kAltitudeM / intrinsics.focal_px;
 
   std::vector<CameraPose> poses;

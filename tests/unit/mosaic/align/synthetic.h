@@ -15,7 +15,9 @@ struct SyntheticOptions {
   double roll_jitter_deg = 0.2;
   double speed_m = 2.0;         // A frame.
   int leg_frames = 0;           // > 0: lawnmower legs of that many frames, each half a footprint beside the last.
-  double view_sigma_px = 0.02;  // Noise of each chain view's three corners.
+  double view_sigma_px = 0.02;  // Noise of each chain view's corners.
+  double hfov_deg = 8.0;
+  bool projective_views = false;  // Chain views are the homographies; else the affine maps that fit best at the ROI's corners.
   // Telemetry's errors.
   double position_bias_m = 0.0;  // Sigma of the shared error.
   double position_white_m = 0.0;

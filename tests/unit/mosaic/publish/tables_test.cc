@@ -29,7 +29,7 @@ TEST(ChainCsv, QuotesNamesAndKeepsEveryDigit) {
   ASSERT_TRUE(csv->Write(row).ok());
   ASSERT_TRUE(csv->Close().ok());
   const std::string text = *ReadFile(folder / "chain.csv", 1 << 20);
-  EXPECT_NE(text.find("\n7,\"a \"\"b\"\", c\n.png\",0.30000000000000004,3,0,registered,,1,0,0,0,1,0,0.3333333333333333,0,0,0,0,,,,,,,,,\n"),
+  EXPECT_NE(text.find("\n7,\"a \"\"b\"\", c\n.png\",0.30000000000000004,3,0,registered,,1,0,0,0,1,0,0,0,0.3333333333333333,0,0,0,0,,,,,,,,,\n"),
             std::string::npos)
       << text;
 }

@@ -46,10 +46,11 @@ struct SyntheticScene {
   }
 
   // A prior of independent corner displacements about `mean`.
-  ViewPrior PriorAbout(const View& mean, double sigma_px) const {
+  ViewPrior PriorAbout(const View& mean, double sigma_px, ViewModel model = ViewModel::kAffine) const {
     ViewPrior prior;
     prior.mean = mean;
-    prior.information = CornerMatrix::Identity() / (sigma_px * sigma_px);
+    const int n = ParameterCount(model);
+    prior.information = CornerMatrix::Identity(n, n) / (sigma_px * sigma_px);
     return prior;
   }
 
@@ -69,13 +70,13 @@ struct SyntheticScene {
 };
 
 inline CornerVector Corners(double a, double b, double c, double d, double e, double f) {
-  CornerVector corners;
+  CornerVector corners(6);
   corners << a, b, c, d, e, f;
   return corners;
 }
 
 inline CornerVector RandomCorners(Rng* rng, double sigma_px) {
-  CornerVector corners;
+  CornerVector corners(6);
   for (int k = 0; k < 6; ++k) corners(k) = sigma_px * rng->Normal();
   return corners;
 }

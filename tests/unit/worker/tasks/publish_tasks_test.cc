@@ -246,7 +246,7 @@ TEST_F(PublishTasks, TheChainListsEveryFrameWithItsFate) {
     EXPECT_EQ(std::count(line.begin(), line.end(), ','), columns + 1) << line;
   }
   EXPECT_EQ(rows, 12 + 2 + 1);  // Registered ones, the two of the last window, the unreadable frame.
-  EXPECT_NE(csv.find("\n0,\"frame,0.png\",0,0,0,registered,,1,0,0,0,1,0,1,0,0,0,0,0.09"), std::string::npos) << csv;
+  EXPECT_NE(csv.find("\n0,\"frame,0.png\",0,0,0,registered,,1,0,0,0,1,0,0,0,1,0,0,0,0,0.09"), std::string::npos) << csv;
   EXPECT_NE(csv.find("9,\"frame,9.png\",0.36,12,,lost,correlation 0.1,,"), std::string::npos) << csv;
   EXPECT_NE(csv.find("11,\"frame,11.png\",0.44,,,skipped,unreadable,,"), std::string::npos) << csv;
 }
