@@ -120,7 +120,6 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
   refuse(sensor.has_saturation_level(), "sensor.saturation_level");
   refuse(sensor.detector_bias() == v1::CORRECTION_ON, "sensor.detector_bias");
   const v1::Tre& tre = sortie.tre();
-  refuse(tre.registration() == v1::PAIRWISE, "tre.registration");
   refuse(tre.gain_offset() == v1::MARGINALISED, "tre.gain_offset");
   refuse(tre.dynamics_sigma_px() != 0.0, "tre.dynamics_sigma_px");
   refuse(tre.update() > v1::INFORMATION, "tre.update");

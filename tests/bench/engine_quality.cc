@@ -43,7 +43,8 @@ void Declare(CLI::App* app, Settings* s) {
   static const std::map<std::string, RegistrationMethod> kMethods = {{"auto", RegistrationMethod::kAuto},
                                                                      {"gn", RegistrationMethod::kGaussNewton},
                                                                      {"hints", RegistrationMethod::kHints},
-                                                                     {"hintsgn", RegistrationMethod::kHintsThenGaussNewton}};
+                                                                     {"hintsgn", RegistrationMethod::kHintsThenGaussNewton},
+                                                                     {"pairwise", RegistrationMethod::kPairwise}};
   s->sequence.frame_count = 100;
   s->sequence.roi_px = 151;
   s->sequence.speed_px = 1.9;
@@ -59,7 +60,7 @@ void Declare(CLI::App* app, Settings* s) {
   app->add_option("--weight", s->engine.structure_weight, "Factor on the regularisation");
   app->add_option("--forgetting", s->engine.forgetting, "Per frame; 0: automatic");
   app->add_option("--iterations", s->engine.iterations, "Per frame; 0: automatic");
-  app->add_option("--method", s->engine.registration, "auto, gn, hints or hintsgn")->transform(CLI::CheckedTransformer(kMethods));
+  app->add_option("--method", s->engine.registration, "auto, gn, hints, hintsgn or pairwise")->transform(CLI::CheckedTransformer(kMethods));
   app->add_option("--picture", s->picture, "Write the last snapshot to this file");
   app->add_option("--truth-x", s->truth_x, "Left column of the part of TRUTH that is used");
   app->add_option("--truth-y", s->truth_y, "Its upper row");

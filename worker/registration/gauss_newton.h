@@ -14,6 +14,12 @@ struct ViewPrior {
   double offset_sigma = 20.0;
 };
 
+// How gain and offset are treated while the geometry is found. Both have the Gaussian prior of ViewPrior.
+enum class GainOffset {
+  kMaximumLikelihood,  // Estimated together with the geometry.
+  kMarginalised,       // Integrated out: the geometry is the mode of its own marginal posterior.
+};
+
 struct GaussNewtonOptions {
   // Levels of reduction by 2 above the full resolution. 0 suffices when the prior mean is within about 4 px; 3 reaches about 16 px and
   // costs a third more.

@@ -1,5 +1,6 @@
 #include "worker/registration/hints.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -34,8 +35,8 @@ constexpr double kLogImpossible = -1e100;
 // F_n of every node of the tree.
 class NodeDensities {
  public:
-  NodeDensities(const AdditiveTarget& target, const HintsTree& tree, std::span<const double> temperatures)
-      : target_(target), tree_(tree), temperatures_(static_cast<std::size_t>(tree.leaf_level) + 1, 1.0) {
+  NodeDensities(const HintsTarget& target, const HintsTree& tree, std::span<const double> temperatures)
+      : target_(target), tree_(tree), nodes_(target.NodesOf(tree)), temperatures_(static_cast<std::size_t>(tree.leaf_level) + 1, 1.0) {
     for (std::size_t i = 0; i < std::min(temperatures.size(), temperatures_.size()); ++i) temperatures_[i] = temperatures[i];
   }
 
@@ -64,12 +65,13 @@ class NodeDensities {
     const HintsTree::Node& n = tree_.nodes[static_cast<std::size_t>(node)];
     const double share = static_cast<double>(n.terms.size()) / tree_.term_count();
     term_evaluations_ += static_cast<std::int64_t>(n.terms.size());
-    const double value = (target_.LogTerms(n.terms, x) + share * target_.LogPrior(x)) / temperatures_[static_cast<std::size_t>(n.level)];
+    const double value = (nodes_->LogNode(node, x) + share * target_.LogPrior(x)) / temperatures_[static_cast<std::size_t>(n.level)];
     return std::isfinite(value) ? std::max(value, kLogImpossible) : kLogImpossible;
   }
 
-  const AdditiveTarget& target_;
+  const HintsTarget& target_;
   const HintsTree& tree_;
+  std::unique_ptr<HintsNodes> nodes_;
   std::vector<double> temperatures_;
   std::array<Known, 2> root_;
   std::uint64_t current_id_ = 0;
@@ -89,16 +91,28 @@ class RandomChooser {
   RandomChooser(const HintsTree& tree, const HintsMatrix& shape, const HintsOptions& options)
       : tree_(tree),
         shape_(shape),
+        centre_(options.centre),
+        persistence_(options.persistence),
+        innovation_(std::sqrt(1.0 - options.persistence * options.persistence)),
         order_(options.child_order),
         rng_({options.seed_key[0], options.seed_key[1], options.seed_key[2]}),
-        counts_(static_cast<std::size_t>(tree.leaf_level) + 1) {}
+        counts_(static_cast<std::size_t>(tree.leaf_level) + 1) {
+    if (centre_.size() > 0) whitening_ = shape.inverse();
+  }
 
   NamedState Propose(int /*leaf*/, const NamedState& x, LogRatio* hastings) {
     HintsState normals(x.x.size());
     for (double& normal : normals) normal = rng_.Normal();
-    *hastings = {};  // A Gaussian around x is symmetric.
     NamedState y{x.x, ++last_id_};
-    y.x.noalias() += step * (shape_ * normals);
+    if (centre_.size() == 0) {
+      *hastings = {};  // A Gaussian around x is symmetric.
+      y.x.noalias() += step * (shape_ * normals);
+      return y;
+    }
+    y.x = centre_ + persistence_ * (x.x - centre_);
+    y.x.noalias() += innovation_ * (shape_ * normals);
+    // Reversible for N(centre, shape shape'): q(x|y) / q(y|x) = N(x) / N(y).
+    *hastings = {0.5 * ((whitening_ * (y.x - centre_)).squaredNorm() - (whitening_ * (x.x - centre_)).squaredNorm())};
     return y;
   }
 
@@ -132,17 +146,23 @@ class RandomChooser {
  private:
   const HintsTree& tree_;
   const HintsMatrix& shape_;
+  HintsState centre_;
+  double persistence_;
+  double innovation_;
+  HintsMatrix whitening_;
   HintsChildOrder order_;
   Rng rng_;
   std::uint64_t last_id_ = 0;
   std::vector<LevelCount> counts_;
 };
 
-void CheckOptions(const AdditiveTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options) {
+void CheckOptions(const HintsTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options) {
   TREM_CHECK(target.term_count() >= 1);
   TREM_CHECK(start.size() >= 1 && shape.rows() == start.size() && shape.cols() == start.size());
   TREM_CHECK(options.sweeps >= 1 && options.burn_in >= 0);
   TREM_CHECK(options.step >= 0.0 && std::isfinite(options.step));
+  TREM_CHECK(options.centre.size() == 0 || options.centre.size() == start.size());
+  TREM_CHECK(options.persistence >= 0.0 && options.persistence < 1.0);
   TREM_CHECK(options.acceptance_target >= 0.0 && options.acceptance_target < 1.0);
   TREM_CHECK_MSG(options.temperatures.empty() || options.temperatures[0] == 1.0, "the root's temperature must be 1");
   for (const double temperature : options.temperatures) TREM_CHECK(temperature > 0.0);
@@ -160,7 +180,13 @@ void Summarise(const std::vector<HintsState>& draws, HintsResult* result) {
   for (const HintsState& draw : draws) result->mean += draw;
   result->mean /= static_cast<double>(draws.size());
   result->covariance = HintsMatrix::Zero(d, d);
+  result->effective_draws = static_cast<double>(draws.size());
   if (draws.size() < 2) return;
+  std::vector<double> coordinate(draws.size());
+  for (Eigen::Index j = 0; j < d; ++j) {
+    for (std::size_t i = 0; i < draws.size(); ++i) coordinate[i] = draws[i][j];
+    result->effective_draws = std::min(result->effective_draws, EffectiveDraws(coordinate));
+  }
   for (const HintsState& draw : draws) {
     const HintsState difference = draw - result->mean;
     result->covariance += difference * difference.transpose();
@@ -168,9 +194,42 @@ void Summarise(const std::vector<HintsState>& draws, HintsResult* result) {
   result->covariance /= static_cast<double>(draws.size() - 1);
 }
 
+class AdditiveNodes : public HintsNodes {
+ public:
+  AdditiveNodes(const AdditiveTarget& target, const HintsTree& tree) : target_(target), tree_(tree) {}
+  double LogNode(int node, const HintsState& x) override {
+    return target_.LogTerms(tree_.nodes[static_cast<std::size_t>(node)].terms, x);
+  }
+
+ private:
+  const AdditiveTarget& target_;
+  const HintsTree& tree_;
+};
+
 }  // namespace
 
-Result<HintsResult> RunHints(const AdditiveTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options) {
+std::unique_ptr<HintsNodes> AdditiveTarget::NodesOf(const HintsTree& tree) const { return std::make_unique<AdditiveNodes>(*this, tree); }
+
+double EffectiveDraws(std::span<const double> values) {
+  const std::size_t n = values.size();
+  const double mean = std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(n);
+  const auto autocovariance = [&](std::size_t lag) {
+    double sum = 0.0;
+    for (std::size_t i = 0; i + lag < n; ++i) sum += (values[i] - mean) * (values[i + lag] - mean);
+    return sum / static_cast<double>(n);
+  };
+  const double variance = autocovariance(0);
+  if (!(variance > 0.0)) return 1.0;
+  double sum = -1.0;  // Of 2 * correlation over all lags but 0, plus 1: pairs begin with lag 0.
+  for (std::size_t lag = 0; lag + 1 < n; lag += 2) {
+    const double pair = (autocovariance(lag) + autocovariance(lag + 1)) / variance;
+    if (!(pair > 0.0)) break;
+    sum += 2.0 * pair;
+  }
+  return std::clamp(static_cast<double>(n) / std::max(sum, 1e-9), 1.0, static_cast<double>(n));
+}
+
+Result<HintsResult> RunHints(const HintsTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options) {
   CheckOptions(target, start, shape, options);
   const std::array<std::uint64_t, 3>& key = options.seed_key;
   const HintsTree tree =
@@ -204,7 +263,7 @@ Result<HintsResult> RunHints(const AdditiveTarget& target, const HintsState& sta
     }
     if (sweep >= 0) {
       draws.push_back(state.x);
-    } else if (options.acceptance_target > 0.0) {
+    } else if (options.acceptance_target > 0.0 && options.centre.size() == 0) {
       chooser.step *= std::exp(StepCorrection(sweep + options.burn_in, chooser.TakeCounts().front(), options.acceptance_target));
     }
   }

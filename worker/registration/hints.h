@@ -2,31 +2,48 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
 #include <Eigen/Core>
 
 #include "mosaic/base/status.h"
+#include "worker/registration/hints_tree.h"
 
 namespace trem {
 
-// At most eight unknowns (six of a view, gain, offset), so a state lives on the stack.
-inline constexpr int kHintsDimensionMax = 8;
+// At most ten unknowns (eight of a view, gain, offset), so a state lives on the stack.
+inline constexpr int kHintsDimensionMax = 10;
 using HintsState = Eigen::Matrix<double, Eigen::Dynamic, 1, Eigen::ColMajor, kHintsDimensionMax, 1>;
 using HintsMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::ColMajor, kHintsDimensionMax, kHintsDimensionMax>;
 
-// A log-density that is a sum of terms, such as the log-likelihood of independent pixels, and a prior:
-//   log p(x) = sum over i of term_i(x) + prior(x) + const.
-// Functions of the state alone: what they return must not change during a run (the scene is frozen while a frame is registered).
-class AdditiveTarget {
+// The log-density of every node of a tree but for the prior, held ready for many evaluations.
+class HintsNodes {
  public:
-  virtual ~AdditiveTarget() = default;
+  virtual ~HintsNodes() = default;
+  // Of `node` at x, up to a constant of the node. A value that is not finite means that x is impossible.
+  virtual double LogNode(int node, const HintsState& x) = 0;
+};
+
+// A log-density with subsets: log p(x) = log-density of all terms + prior(x) + const. Functions of the state alone: what they return must
+// not change during a run (the scene is frozen while a frame is registered).
+class HintsTarget {
+ public:
+  virtual ~HintsTarget() = default;
   virtual int term_count() const = 0;
-  // Sum of the named terms at x. Called once for a whole subset (ascending indices); 16 to term_count() of them. A value that is not
-  // finite means that x is impossible.
-  virtual double LogTerms(std::span<const int> term_indices, const HintsState& x) const = 0;
   virtual double LogPrior(const HintsState& x) const = 0;
+  // Node 0 has to be the density of all terms, which the draws come from. Any density may stand at the others; the nearer it is to the
+  // node's share of the root's, the more of its moves the root accepts. `tree` and the target outlive what is returned.
+  virtual std::unique_ptr<HintsNodes> NodesOf(const HintsTree& tree) const = 0;
+};
+
+// A log-density that is a sum of terms, such as the log-likelihood of independent pixels: a node's is the sum of its terms.
+class AdditiveTarget : public HintsTarget {
+ public:
+  // Sum of the named terms at x (ascending indices). Not finite: x is impossible.
+  virtual double LogTerms(std::span<const int> term_indices, const HintsState& x) const = 0;
+  std::unique_ptr<HintsNodes> NodesOf(const HintsTree& tree) const override;
 };
 
 enum class HintsChildOrder {
@@ -54,6 +71,11 @@ struct HintsOptions {
   // 2.4 / sqrt(d * leaf count), with which the moves of a sweep's leaves add up to the best step of plain Metropolis-Hastings when the
   // shape is that of the posterior.
   double step = 0.0;
+  // Where not empty, a leaf proposes y = centre + persistence (x - centre) + sqrt(1 - persistence^2) * shape * N(0, I) instead, which is
+  // reversible for a Gaussian about `centre`; step and adaptation are not used. For draws near the optimum, when centre and shape are
+  // those of the posterior: successive draws are then nearly independent. The Hastings term keeps it exact whatever they are.
+  HintsState centre;
+  double persistence = 0.0;  // [0, 1).
   // Robbins-Monro (in burn-in only, then frozen) steers the step towards this mean probability of acceptance at the root. The root's,
   // because it is the one that too long a step starves; 0.3 was best or near it for 0 to 3 levels. 0: no adaptation.
   double acceptance_target = 0.3;
@@ -70,6 +92,7 @@ struct HintsResult {
   HintsMatrix covariance;         // Of the draws (divided by sweeps - 1; zero for one draw). d x d.
   // By level, root first, over the counted sweeps: accepted / tried. A parent tries when one of its children moved.
   std::vector<double> acceptance_rates;
+  double effective_draws = 0.0;       // How many independent draws the counted sweeps are worth, of the worst coordinate.
   double step = 0.0;                  // The frozen step.
   std::int64_t term_evaluations = 0;  // Terms evaluated in all, burn-in included.
   double full_evaluations = 0.0;      // The same in units of the whole target: term_evaluations / term_count.
@@ -85,10 +108,14 @@ struct HintsResult {
 // independent draws for the same number of term evaluations.
 //
 //   F_n(x) = [sum of node n's terms at x + |n|/N log prior(x)] / temperature of n's level
-// `start` has d elements, 1 <= d <= 8; `shape` is a d x d factor of the proposal's covariance, for example the lower Cholesky factor of
+// `start` has d elements, 1 <= d <= kHintsDimensionMax; `shape` is a d x d factor of the proposal's covariance, for example the lower Cholesky factor of
 // (J'J)^-1. Cost of a sweep: at most (2 * levels + 1) * term_count term evaluations with random order.
 // A target whose terms are profiled over further unknowns gives draws of the profile likelihood, not of the marginal.
 // kFailed when the target is not finite at `start`. Precondition: options in their ranges (checked).
-Result<HintsResult> RunHints(const AdditiveTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options);
+Result<HintsResult> RunHints(const HintsTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options);
+
+// Effective number of independent draws among the successive `values` of one coordinate: n / (1 + 2 sum of autocorrelations), summed up to
+// Geyer's initial positive sequence (Statistical Science 7(4), 1992, 3.3). 1 .. n.
+double EffectiveDraws(std::span<const double> values);
 
 }  // namespace trem

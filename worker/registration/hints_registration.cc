@@ -1,129 +1,130 @@
 #include "worker/registration/hints_registration.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
-#include <vector>
+#include <optional>
 
 #include "worker/registration/hints.h"
-#include "worker/registration/reduce.h"
-#include "worker/sensor/bicubic.h"
+#include "worker/registration/hints_capture.h"
+#include "worker/registration/pixel_terms.h"
+#include "worker/registration/view_target.h"
 
 namespace trem {
 namespace {
 
-constexpr int kTermsAbout = 1024;
-constexpr double kHuberSigmas = 3.0;
-constexpr double kGainStep = 0.03;    // Scale of the capture search, relative and in grey levels.
-constexpr double kOffsetStep = 3.0;
+// Proposals of the travel start with this size [sensor px] at full resolution.
+constexpr double kTravelStepPx = 0.05;
+constexpr int kLegsMax = 3;
+// Least side of a reduced frame [px].
+constexpr int kReducedSideMin = 18;
+// Proposals are this much wider than Laplace's approximation: tails lighter than the target's would make the chain stick.
+constexpr double kProposalWidth = 1.1;
 
-View ViewAt(const ViewPrior& prior, const Roi& roi, const HintsState& x) {
-  return {Displace(prior.mean.scene_from_sensor, roi, CornerVector(x.head<6>())), prior.mean.gain + x(6), prior.mean.offset + x(7)};
+std::array<std::uint64_t, 3> KeyOf(const std::uint64_t (&stream)[3], std::uint64_t part) {
+  return {stream[0], stream[1], stream[2] ^ (part << 48)};
 }
 
-// log p(pixel | view) of a grid of pixels at one resolution.
-class PixelTarget : public AdditiveTarget {
- public:
-  PixelTarget(const Observation& observation, const Reference& reference, const ViewPrior& prior, int reductions, double sigma)
-      : observation_(observation), reference_(reference), prior_(prior), sigma_(sigma), frame_(*observation.roi_pixels),
-        prediction_(*reference.prediction), seen_(*reference.seen) {
-    for (int l = 0; l < reductions; ++l) frame_ = ReduceByTwo(frame_);
-    // One halving more than the frame: at three cells a pixel the nearest to the same blur.
-    for (int l = 0; l < (reductions > 0 ? reductions + 1 : 0); ++l) {
-      prediction_ = ReduceByTwo(prediction_);
-      seen_ = ReduceByTwoMinimum(seen_);
-    }
-    frame_step_ = 1 << reductions;
-    reference_step_ = reductions > 0 ? 2.0 * frame_step_ : 1.0;
-    const double area = static_cast<double>(frame_.width()) * frame_.height();
-    const int stride = std::max(1, static_cast<int>(std::floor(std::sqrt(area / kTermsAbout))));
-    for (int v = stride / 2; v < frame_.height(); v += stride) {
-      for (int u = stride / 2; u < frame_.width(); u += stride) {
-        if (!std::isnan(frame_.at(u, v))) pixels_.push_back({u, v});
-      }
-    }
+// The lower factor of `covariance` [px^2 of displacement] in the chart's coordinates; nothing when it has none.
+std::optional<HintsMatrix> CovarianceInChart(const CornerMatrix& covariance, const ViewChart& chart) {
+  const HintsMatrix information = HintsMatrix(covariance).inverse();
+  const HintsMatrix in_chart = (chart.basis.transpose() * information * chart.basis).inverse();
+  if (!in_chart.allFinite() || Eigen::LLT<HintsMatrix>(in_chart).info() != Eigen::Success) return {};
+  return in_chart;
+}
+
+// From the chart's origin to the neighbourhood of the optimum.
+HintsState Travel(const Observation& observation, const Reference& reference, const ViewPrior& prior, const ViewChart& chart,
+                  const HintsSettings& settings, const std::uint64_t (&stream)[3], HintsCost* cost) {
+  HintsState state = HintsState::Zero(chart.dimension());
+  const int side = std::min(observation.roi.width(), observation.roi.height());
+  for (int reductions = kLegsMax - 1; reductions >= 0; --reductions) {
+    if (settings.travel_sweeps == 0 || (reductions > 0 && (side >> reductions) < kReducedSideMin)) continue;
+    PixelTerms terms(observation, reference, reductions, settings.travel_terms);
+    const double sigma = (reductions > 0 ? 3.0 : 1.0) * observation.noise_sigma;
+    const ViewTarget target(&terms, prior, chart, Photometry::kProfiled, sigma);
+    HintsOptions options;
+    options.seed_key = KeyOf(stream, static_cast<std::uint64_t>(reductions) + 1);
+    options.leaf_size = 24;
+    options.burn_in = settings.travel_sweeps - 1;
+    options.sweeps = 1;
+    options.step = 1.0;
+    if (terms.count() < options.leaf_size) continue;
+    // One isotropic step suits displacements of corners; its length adapts.
+    const HintsMatrix shape = HintsMatrix::Identity(chart.dimension(), chart.dimension()) * (kTravelStepPx * (1 << reductions));
+    const Result<HintsResult> leg = RunHints(target, state, shape, options);
+    if (!leg.ok()) continue;
+    state = leg->best;
+    cost->pixel_evaluations += leg->term_evaluations;
   }
+  return state;
+}
 
-  int term_count() const override { return static_cast<int>(pixels_.size()); }
+// What the chart's coordinates of `view` are, when it is off the chart's subspace: nearest under `information`.
+HintsState CoordinatesOf(const View& view, const ViewChart& chart, const CornerMatrix& information) {
+  const HintsState d = CornerDisplacement(chart.centre.scene_from_sensor, view.scene_from_sensor, chart.roi, ModelOf(chart.basis.rows()));
+  const HintsMatrix weighted = chart.basis.transpose() * HintsMatrix(information);
+  return HintsMatrix(weighted * chart.basis).inverse() * (weighted * d);
+}
 
-  double LogTerms(std::span<const int> terms, const HintsState& x) const override {
-    const View view = ViewAt(prior_, observation_.roi, x);
-    double sum = 0.0;
-    for (const int term : terms) {
-      const Pixel pixel = pixels_[static_cast<std::size_t>(term)];
-      const Eigen::Vector2d sensor(observation_.roi.x0 + pixel.u * frame_step_ + 0.5 * (frame_step_ - 1.0),
-                                   observation_.roi.y0 + pixel.v * frame_step_ + 0.5 * (frame_step_ - 1.0));
-      const Eigen::Vector2d scene = view.scene_from_sensor * sensor;
-      const double cx = (scene.x() - reference_.x0 - 0.5 * (reference_step_ - 1.0)) / reference_step_;
-      const double cy = (scene.y() - reference_.y0 - 0.5 * (reference_step_ - 1.0)) / reference_step_;
-      double sigmas = 2.0 * kHuberSigmas;
-      if (CubicSupported(prediction_, cx, cy) && seen_.at(static_cast<int>(cx + 0.5), static_cast<int>(cy + 0.5)) >= reference_.seen_min) {
-        sigmas = std::abs(frame_.at(pixel.u, pixel.v) - view.gain * SampleCubic(prediction_, cx, cy) - view.offset) / sigma_;
-      }
-      sum -= sigmas <= kHuberSigmas ? 0.5 * sigmas * sigmas : kHuberSigmas * (sigmas - 0.5 * kHuberSigmas);
-    }
-    return sum;
-  }
-
-  double LogPrior(const HintsState& x) const override {
-    const CornerVector d = x.head<6>();
-    const double gain = x(6) / prior_.gain_sigma;
-    const double offset = x(7) / prior_.offset_sigma;
-    return -0.5 * (d.dot(prior_.information.topLeftCorner<6, 6>() * d) + gain * gain + offset * offset);
-  }
-
- private:
-  struct Pixel {
-    int u;
-    int v;
-  };
-  const Observation& observation_;
-  const Reference& reference_;
-  const ViewPrior& prior_;
-  double sigma_;
-  Image<float> frame_;
-  Image<float> prediction_;
-  Image<float> seen_;
-  double frame_step_ = 1.0;
-  double reference_step_ = 1.0;
-  std::vector<Pixel> pixels_;
-};
-
-// Proposal shape of the search: a common translation of 4 px, 1 px a corner, a little gain and offset.
-HintsMatrix CaptureShape() {
-  HintsMatrix covariance = HintsMatrix::Zero(8, 8);
-  for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) covariance.block<2, 2>(2 * a, 2 * b) = Eigen::Matrix2d::Identity() * (16.0 + (a == b ? 1.0 : 0.0));
-  }
-  covariance(6, 6) = kGainStep * kGainStep;
-  covariance(7, 7) = kOffsetStep * kOffsetStep;
-  return covariance.llt().matrixL();
+// The covariance that is reported, of `n` effective draws of which `sample` is the covariance and `shape` what was expected.
+HintsMatrix ReportedCovariance(const HintsMatrix& sample, const HintsMatrix& expected, double n) {
+  const double d = static_cast<double>(sample.rows());
+  const double prior_draws = d + 2.0;
+  const double draws = prior_draws + n - 1.0;
+  const HintsMatrix mixed = (prior_draws * expected + (n - 1.0) * sample) / draws;
+  return mixed * (draws / (draws - d - 1.0)) * (1.0 + 1.0 / n);
 }
 
 }  // namespace
 
 Registration RegisterHints(const Observation& observation, const Reference& reference, const ViewPrior& prior, HintsUse use,
-                           const std::uint64_t (&stream)[3]) {
-  const bool full = use == HintsUse::kFull;
-  const PixelTarget target(observation, reference, prior, full ? 0 : 2, (full ? 1.0 : 3.0) * observation.noise_sigma);
+                           const std::uint64_t (&stream)[3], const HintsSettings& settings, HintsCost* cost) {
+  HintsCost ignored;
+  if (cost == nullptr) cost = &ignored;
+  *cost = {};
+  if (use == HintsUse::kCapture) return CaptureByHints(observation, reference, prior, stream, &cost->pixel_evaluations);
+  const ViewChart chart = settings.chart != nullptr ? *settings.chart : FullChart(prior, observation.roi);
+  const HintsState arrived = Travel(observation, reference, prior, chart, settings, stream, cost);
+
+  GaussNewtonOptions one_step;
+  one_step.iterations_max = 1;
+  PixelTerms terms(observation, reference, 0, 0);
+  const bool joint = settings.gain_offset == GainOffset::kMaximumLikelihood;
+  const ViewTarget profiled(&terms, prior, chart, Photometry::kProfiled, observation.noise_sigma);
+  const Registration centre = RegisterGaussNewton(observation, reference, prior, profiled.ViewAt(arrived), one_step);
+  const std::optional<HintsMatrix> covariance = CovarianceInChart(centre.corner_covariance, chart);
+  if (!(centre.overlap > 0.0) || !covariance) return centre;
+  // As in Laplace's approximation: the residuals, not the nominal noise, say how well this frame determines its view.
+  const double sigma = std::max(observation.noise_sigma, centre.residual_rms);
+  const ViewTarget target(&terms, prior, chart, joint ? Photometry::kJoint : Photometry::kMarginalised, sigma);
+  const int d = chart.dimension();
   HintsOptions options;
-  options.seed_key = {stream[0], stream[1], stream[2]};
-  options.sweeps = full ? 40 : 60;
-  Registration laplace = EvaluateView(observation, reference, prior, prior.mean);
-  HintsMatrix shape = CaptureShape();
-  if (full && laplace.overlap > 0.0) {
-    HintsMatrix covariance = HintsMatrix::Zero(8, 8);
-    covariance.topLeftCorner<6, 6>() = laplace.corner_covariance.topLeftCorner<6, 6>();
-    covariance.bottomRightCorner<2, 2>() = laplace.gain_offset_covariance;
-    const Eigen::LLT<HintsMatrix> cholesky(covariance);
-    if (cholesky.info() == Eigen::Success) shape = cholesky.matrixL();
+  options.seed_key = KeyOf(stream, 0);
+  options.levels = 0;
+  options.burn_in = 4;
+  options.sweeps = settings.draws;
+  options.centre = HintsState::Zero(target.dimension());
+  options.centre.head(d) = CoordinatesOf(centre.view, chart, HintsMatrix(centre.corner_covariance).inverse());
+  HintsMatrix spread = HintsMatrix::Zero(target.dimension(), target.dimension());
+  spread.topLeftCorner(d, d) = *covariance;
+  if (joint) {
+    options.centre.tail<2>() << centre.view.gain - prior.mean.gain, centre.view.offset - prior.mean.offset;
+    spread.bottomRightCorner<2, 2>() = centre.gain_offset_covariance;
   }
-  if (target.term_count() < options.leaf_size) return laplace;
-  const Result<HintsResult> draws = RunHints(target, HintsState::Zero(8), shape, options);
-  if (!draws.ok()) return laplace;
-  const View view = ViewAt(prior, observation.roi, full ? draws->mean : draws->best);
-  Registration registration = EvaluateView(observation, reference, prior, view);
+  terms.Sample(terms.All(), centre.view);
+  terms.FreezeRobustFactors(centre.view.gain, centre.view.offset, sigma);
+  const HintsMatrix shape = kProposalWidth * HintsMatrix(spread.llt().matrixL());
+  const Result<HintsResult> draws = RunHints(target, options.centre, shape, options);
+  if (!draws.ok()) return centre;
+  cost->pixel_evaluations += draws->term_evaluations;
+  cost->acceptance = draws->acceptance_rates.front();
+  cost->effective_draws = draws->effective_draws;
+  Registration registration = EvaluateView(observation, reference, prior, target.ViewAt(draws->mean));
   registration.converged = registration.overlap > 0.0;
-  if (full) registration.corner_covariance.topLeftCorner<6, 6>() = draws->covariance.topLeftCorner<6, 6>();
+  const HintsMatrix reported = ReportedCovariance(draws->covariance.topLeftCorner(d, d), *covariance, draws->effective_draws);
+  registration.corner_covariance = chart.basis * reported * chart.basis.transpose();
   return registration;
 }
 

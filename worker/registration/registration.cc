@@ -3,6 +3,7 @@
 #include <cstdio>
 
 #include "worker/registration/hints_registration.h"
+#include "worker/registration/pairwise.h"
 
 namespace trem {
 namespace {
@@ -66,8 +67,14 @@ JudgedRegistration GaussNewtonWithPyramids(const Observation& observation, const
 
 JudgedRegistration Register(const Observation& observation, const Reference& reference, const RegistrationRequest& request) {
   switch (request.method) {
-    case RegistrationMethod::kHints:
-      return Judge(RegisterHints(observation, reference, request.prior, HintsUse::kFull, request.stream), observation, request);
+    case RegistrationMethod::kHints: {
+      HintsSettings settings;
+      settings.gain_offset = request.gain_offset;
+      return Judge(RegisterHints(observation, reference, request.prior, HintsUse::kFull, request.stream, settings), observation, request);
+    }
+    case RegistrationMethod::kPairwise:
+      return Judge(RegisterPairwise(observation, reference, request.prior, FullChart(request.prior, observation.roi), {}), observation,
+                   request);
     case RegistrationMethod::kHintsThenGaussNewton: {
       const Registration captured = RegisterHints(observation, reference, request.prior, HintsUse::kCapture, request.stream);
       return TryFrom(captured.view, 0, observation, reference, request);

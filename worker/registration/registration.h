@@ -13,12 +13,14 @@ enum class RegistrationMethod {
   kGaussNewton,           // Gauss-Newton with pyramids only.
   kHints,                 // HINTS alone: the posterior mean of its draws.
   kHintsThenGaussNewton,  // HINTS as capture for every frame, then Gauss-Newton.
+  kPairwise,              // The pairwise search: the baseline.
 };
 
 struct RegistrationRequest {
   ViewPrior prior;
   std::vector<View> candidates;  // Other places to start from when the prior's mean leads nowhere.
   RegistrationMethod method = RegistrationMethod::kAuto;
+  GainOffset gain_offset = GainOffset::kMaximumLikelihood;
   // How far a corner may end from the prior's mean [sensor px] to be believed.
   double motion_px_max = 20.0;
   std::uint64_t stream[3] = {0, 0, 0};  // Key of the random stream: seed, window, frame.

@@ -33,6 +33,7 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
     case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;
     case v1::HINTS: options.registration = RegistrationMethod::kHints; break;
     case v1::HINTS_THEN_GAUSS_NEWTON: options.registration = RegistrationMethod::kHintsThenGaussNewton; break;
+    case v1::PAIRWISE: options.registration = RegistrationMethod::kPairwise; break;
     default: options.registration = RegistrationMethod::kAuto; break;
   }
   options.view_model = sortie.tre().view_model() == v1::PROJECTIVE ? ViewModel::kProjective : ViewModel::kAffine;

@@ -177,6 +177,68 @@ TEST(HintsTest, WithoutLevelsItIsPlainMetropolisHastings) {
   EXPECT_EQ(result.full_evaluations, 501.0);
 }
 
+// Metropolis-Hastings with the burn-in's Robbins-Monro recursion, from the textbook: adaptation that went on after burn-in, or did not take
+// place, would give other draws.
+TEST(HintsTest, TheStepIsAdaptedInBurnInAndFrozenAfterIt) {
+  const LinearTarget target(5);
+  HintsOptions options = LongRun(0);
+  options.sweeps = 300;
+  options.burn_in = 40;
+  options.step = 3.0;
+  const HintsResult result = RunHints(target, HintsState::Zero(kDimension), target.shape, options).value();
+  std::vector<int> all(kTerms);
+  for (int i = 0; i < kTerms; ++i) all[static_cast<std::size_t>(i)] = i;
+  const auto log_density = [&](const HintsState& x) { return target.LogTerms(all, x) + target.LogPrior(x); };
+  const auto chain = [&](int adapted_sweeps) {
+    Rng rng({options.seed_key[0], options.seed_key[1], options.seed_key[2]});
+    HintsState x = HintsState::Zero(kDimension);
+    double step = options.step;
+    std::vector<HintsState> draws;
+    for (int sweep = 0; sweep < options.burn_in + options.sweeps; ++sweep) {
+      HintsState normals(kDimension);
+      for (double& normal : normals) normal = rng.Normal();
+      const HintsState y = x + step * (target.shape * normals);
+      const double log_ratio = log_density(y) - log_density(x);
+      if (std::log(1.0 - rng.Uniform()) <= log_ratio) x = y;
+      if (sweep < adapted_sweeps) step *= std::exp(std::pow(sweep + 1.0, -0.6) * (std::exp(std::min(log_ratio, 0.0)) - 0.3));
+      if (sweep >= options.burn_in) draws.push_back(x);
+    }
+    return std::pair(draws, step);
+  };
+  const auto [draws, step] = chain(options.burn_in);
+  EXPECT_EQ(result.draws, draws);
+  EXPECT_DOUBLE_EQ(result.step, step);
+  EXPECT_LT(step, 1.5) << "it has adapted";
+  EXPECT_NE(result.draws, chain(options.burn_in + 1).first) << "control: one sweep more is noticed";
+}
+
+// Proposals about a centre that is off by a standard deviation, too wide, and that remember where they come from.
+TEST(HintsTest, DrawsWithCentredProposalsHaveTheMeanAndCovarianceOfThePosterior) {
+  const LinearTarget target(5);
+  for (const double persistence : {0.0, 0.5}) {
+    HintsOptions options = LongRun(0);
+    options.centre = target.mean + target.shape * HintsState::Constant(kDimension, 0.4);
+    options.persistence = persistence;
+    const HintsResult result = RunHints(target, options.centre, 1.2 * target.shape, options).value();
+    EXPECT_LT(LargestDeviation(result.draws, target, target.covariance), kThreshold) << persistence;
+    EXPECT_GT(LargestDeviation(result.draws, target, 1.25 * target.covariance), kThreshold) << "control";
+    EXPECT_GT(result.effective_draws, 2000.0);
+  }
+}
+
+TEST(HintsTest, EffectiveDrawsOfAnAutoregressionAreThoseOfTheory) {
+  constexpr int kCount = 40000;
+  for (const double correlation : {0.0, 0.5, 0.9}) {
+    Rng rng({1, 2});
+    std::vector<double> values(kCount);
+    double x = 0.0;
+    for (double& value : values) value = x = correlation * x + rng.Normal();
+    const double expected = kCount * (1.0 - correlation) / (1.0 + correlation);
+    EXPECT_NEAR(EffectiveDraws(values), expected, 0.2 * expected);
+  }
+  EXPECT_EQ(EffectiveDraws(std::vector<double>(10, 3.0)), 1.0) << "a chain that never moved";
+}
+
 TEST(HintsTest, FindsItsWayFromAFarStartInTheDefaultNumberOfSweeps) {
   const LinearTarget target(6);
   HintsOptions options;

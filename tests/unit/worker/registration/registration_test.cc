@@ -25,7 +25,7 @@ TEST(Registration, EveryMethodIsBelievedOnAFrameOfTheScene) {
   const View truth = scene.NominalMovedBy(Corners(0.4, -0.3, 0.5, 0.1, -0.2, 0.3));
   const Image<float> frame = scene.Frame(truth, 1);
   for (const RegistrationMethod method : {RegistrationMethod::kAuto, RegistrationMethod::kGaussNewton, RegistrationMethod::kHints,
-                                          RegistrationMethod::kHintsThenGaussNewton}) {
+                                          RegistrationMethod::kHintsThenGaussNewton, RegistrationMethod::kPairwise}) {
     RegistrationRequest request = RequestAbout(scene, scene.Nominal(), 2.0);
     request.method = method;
     const JudgedRegistration judged = Register(scene.Observe(frame), scene.reference(), request);
