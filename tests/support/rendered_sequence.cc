@@ -9,26 +9,24 @@
 namespace trem::testing {
 namespace {
 
-constexpr int kCellsPerPixel = 3;
-constexpr double kStepPx = 0.25;  // Of the quadrature.
-constexpr int kBorderPx = 20;     // Of truth around all that is seen.
+constexpr int kStepsPerPixel = 4;  // Of the quadrature.
+constexpr int kBorderPx = 20;      // Of truth around all that is seen.
 constexpr std::size_t kSamplesMin = 2000;
 
 struct Quadrature {
-  std::vector<double> nodes;    // Sensor pixels from the pixel's centre.
-  std::vector<double> weights;  // Sum to 1.
+  int side = 0;                 // Nodes on each side of the pixel's centre.
+  std::vector<double> weights;  // 2 side + 1; sum to 1.
 };
 
 // Of the Gaussian convolved with the detector's box, along one axis.
 Quadrature PixelQuadrature(double sigma_px, double fill_factor) {
   const double half_box = 0.5 * fill_factor;
-  const int side = static_cast<int>(std::ceil((3.5 * sigma_px + half_box) / kStepPx));
   const auto cdf = [](double z) { return 0.5 * std::erfc(-z / std::sqrt(2.0)); };
   Quadrature q;
+  q.side = static_cast<int>(std::ceil((3.5 * sigma_px + half_box) * kStepsPerPixel));
   double total = 0.0;
-  for (int i = -side; i <= side; ++i) {
-    const double x = i * kStepPx;
-    q.nodes.push_back(x);
+  for (int i = -q.side; i <= q.side; ++i) {
+    const double x = static_cast<double>(i) / kStepsPerPixel;
     q.weights.push_back(cdf((x + half_box) / sigma_px) - cdf((x - half_box) / sigma_px));
     total += q.weights.back();
   }
@@ -37,19 +35,48 @@ Quadrature PixelQuadrature(double sigma_px, double fill_factor) {
 }
 
 // How far the ROI's centre travels along x, and room for turned corners.
-double TravelPx(const SequenceOptions& o) { return o.speed_px * o.frame_count; }
+double TravelPx(const SequenceOptions& o) { return o.motion == CameraMotion::kPath ? o.speed_px * o.frame_count : 0.0; }
 double TurnedRoiPx(const SequenceOptions& o) { return o.roi_px * (o.turn_rad > 0.0 ? std::sqrt(2.0) : 1.0); }
 
-Affine TrueView(const SequenceOptions& o, int t) {
+Affine PathView(const SequenceOptions& o, int t) {
   const double angle = 0.01 * std::sin(0.05 * t) + o.turn_rad * t;
-  const double scale = kCellsPerPixel * (1.0 + 0.01 * std::sin(0.031 * t));
+  const double scale = o.cells_per_pixel * (1.0 + 0.01 * std::sin(0.031 * t));
   Affine truth_from_sensor;
   truth_from_sensor.linear << scale * std::cos(angle), -1.02 * scale * std::sin(angle), scale * std::sin(angle), scale * std::cos(angle);
   const Eigen::Vector2d centre = Eigen::Vector2d::Constant(0.5 * (o.roi_px - 1));
-  const Eigen::Vector2d start(kCellsPerPixel * (0.5 * TurnedRoiPx(o) + kBorderPx), 0.5 * TruthHeight(o));
+  const Eigen::Vector2d start(o.cells_per_pixel * (0.5 * TurnedRoiPx(o) + kBorderPx), 0.5 * TruthHeight(o));
   const Eigen::Vector2d path_px(o.speed_px * t + 0.3 * std::sin(1.7 * t), 4.0 * std::sin(0.11 * t) + 0.4 * std::sin(2.3 * t));
-  truth_from_sensor.offset = start + kCellsPerPixel * path_px - truth_from_sensor.linear * centre;
+  truth_from_sensor.offset = start + o.cells_per_pixel * path_px - truth_from_sensor.linear * centre;
   return truth_from_sensor;
+}
+
+std::vector<Affine> DwellViews(const SequenceOptions& o) {
+  constexpr double kKeep = 0.9;  // Of the distance from the place looked at, a frame.
+  constexpr double kStepPx = 0.5;
+  constexpr double kStepLinear = 0.002 * 0.436;  // sqrt(1 - kKeep^2): 0.002 in all.
+  Rng rng({o.seed, 13});
+  Eigen::Matrix2d linear = Eigen::Matrix2d::Zero();
+  Eigen::Vector2d walk_px = Eigen::Vector2d::Zero();
+  const Eigen::Vector2d centre = Eigen::Vector2d::Constant(0.5 * (o.roi_px - 1));
+  const Eigen::Vector2d corner = Eigen::Vector2d::Constant(kBorderPx);
+  const Eigen::Vector2d drift_px = o.speed_px * Eigen::Vector2d(0.8, 0.6);
+  std::vector<Affine> views;
+  for (int t = 0; t < o.frame_count; ++t) {
+    Affine truth_from_sensor;
+    truth_from_sensor.linear = o.cells_per_pixel * (Eigen::Matrix2d::Identity() + linear);
+    truth_from_sensor.offset = o.cells_per_pixel * (corner + centre + walk_px + t * drift_px) - truth_from_sensor.linear * centre;
+    views.push_back(truth_from_sensor);
+    walk_px = kKeep * walk_px + kStepPx * Eigen::Vector2d{rng.Normal(), rng.Normal()};
+    for (double& element : linear.reshaped()) element = kKeep * element + kStepLinear * rng.Normal();
+  }
+  return views;
+}
+
+std::vector<Affine> TrueViews(const SequenceOptions& o) {
+  if (o.motion == CameraMotion::kDwell) return DwellViews(o);
+  std::vector<Affine> views;
+  for (int t = 0; t < o.frame_count; ++t) views.push_back(PathView(o, t));
+  return views;
 }
 
 // True when all cells that a cubic sample at (x, y) uses have been seen by [seen_min, seen_max) frames.
@@ -74,9 +101,9 @@ Affine RenderedSequence::TruthFromScene(int first, int ratio) const {
   return truth_from_sensor[static_cast<std::size_t>(first)] * scene_from_sensor.Inverse();
 }
 
-int TruthWidth(const SequenceOptions& o) { return static_cast<int>(kCellsPerPixel * (TurnedRoiPx(o) + TravelPx(o) + 2 * kBorderPx)); }
+int TruthWidth(const SequenceOptions& o) { return static_cast<int>(o.cells_per_pixel * (TurnedRoiPx(o) + TravelPx(o) + 2 * kBorderPx)); }
 
-int TruthHeight(const SequenceOptions& o) { return static_cast<int>(kCellsPerPixel * (TurnedRoiPx(o) + 2 * kBorderPx)); }
+int TruthHeight(const SequenceOptions& o) { return static_cast<int>(o.cells_per_pixel * (TurnedRoiPx(o) + 2 * kBorderPx)); }
 
 Image<float> ProceduralTruth(int width, int height, std::uint64_t seed) {
   cv::Mat canvas(height, width, CV_32F, cv::Scalar(110));
@@ -117,18 +144,28 @@ Image<float> Filtered121(const Image<float>& image) {
 Image<float> RenderFrame(const Image<float>& truth, const SequenceOptions& o, const Affine& truth_from_sensor, double gain, double offset,
                          std::uint64_t stream) {
   const Quadrature q = PixelQuadrature(o.psf_sigma_px, o.fill_factor);
+  const int fine_px = (o.roi_px - 1) * kStepsPerPixel + 2 * q.side + 1;
+  // The pixels' nodes lie on one grid: the truth is sampled there once, then summed along rows and along columns.
+  Image<double> rows(o.roi_px, fine_px);
+  std::vector<double> fine(static_cast<std::size_t>(fine_px));
+  for (int j = 0; j < fine_px; ++j) {
+    for (int i = 0; i < fine_px; ++i) {
+      const Eigen::Vector2d x = truth_from_sensor * (Eigen::Vector2d(i - q.side, j - q.side) / kStepsPerPixel);
+      TREM_CHECK(CubicSupported(truth, x.x(), x.y()));
+      fine[static_cast<std::size_t>(i)] = SampleCubic(truth, x.x(), x.y());
+    }
+    for (int u = 0; u < o.roi_px; ++u) {
+      double sum = 0.0;
+      for (std::size_t k = 0; k < q.weights.size(); ++k) sum += q.weights[k] * fine[static_cast<std::size_t>(u * kStepsPerPixel) + k];
+      rows.at(u, j) = sum;
+    }
+  }
   Rng rng({o.seed, 5, stream});
   Image<float> frame(o.roi_px, o.roi_px);
   for (int v = 0; v < o.roi_px; ++v) {
     for (int u = 0; u < o.roi_px; ++u) {
       double sum = 0.0;
-      for (std::size_t j = 0; j < q.nodes.size(); ++j) {
-        for (std::size_t i = 0; i < q.nodes.size(); ++i) {
-          const Eigen::Vector2d x = truth_from_sensor * Eigen::Vector2d(u + q.nodes[i], v + q.nodes[j]);
-          TREM_CHECK(CubicSupported(truth, x.x(), x.y()));
-          sum += q.weights[i] * q.weights[j] * SampleCubic(truth, x.x(), x.y());
-        }
-      }
+      for (std::size_t k = 0; k < q.weights.size(); ++k) sum += q.weights[k] * rows.at(u, v * kStepsPerPixel + static_cast<int>(k));
       frame.at(u, v) = static_cast<float>(gain * sum + offset + o.noise_sigma * rng.Normal());
     }
   }
@@ -140,8 +177,9 @@ RenderedSequence RenderSequence(Image<float> truth, const SequenceOptions& o) {
   s.truth = std::move(truth);
   s.roi = {0, 0, o.roi_px, o.roi_px};
   Rng motion_rng({o.seed, 9});
+  const std::vector<Affine> views = TrueViews(o);
   for (int t = 0; t < o.frame_count; ++t) {
-    const Affine view = TrueView(o, t);
+    const Affine view = views[static_cast<std::size_t>(t)];
     s.gains.push_back(1.0 + o.gain_swing * std::sin(0.07 * t));
     s.offsets.push_back(o.offset_swing * std::sin(0.05 * t));
     FrameInput frame;

@@ -11,12 +11,20 @@
 
 namespace trem::testing {
 
-// A sequence of frames with known truth for tests of the engine: a camera that moves along a smooth path over a flat picture. The truth
-// has 3 x 3 cells a sensor pixel.
+// How the camera of a sequence moves.
+enum class CameraMotion {
+  kPath,   // Along x at `speed_px` a frame on a smooth path with a swing of rotation and zoom.
+  kDwell,  // Keeps looking at one place: a random walk about it of 0.5 px a step and 1.1 px in all (each axis), 0.002 in rotation, zoom
+           // and shear, and a slow drift of `speed_px` a frame. The first frame's pixels fall on the truth's cells.
+};
+
+// A sequence of frames with known truth for tests of the engine: a camera over a flat picture.
 struct SequenceOptions {
+  CameraMotion motion = CameraMotion::kPath;
+  int cells_per_pixel = 3;  // Of the truth. More for content finer than what three cells can carry.
   int frame_count = 60;
   int roi_px = 61;           // Side of the frames, which are the ROI.
-  double speed_px = 0.8;     // Motion along x a frame.
+  double speed_px = 0.8;     // Motion a frame.
   double turn_rad = 0.0;     // Steady rotation a frame, on top of a small swing.
   double noise_sigma = 2.0;  // Grey levels.
   double psf_sigma_px = 0.55;
@@ -48,8 +56,8 @@ Image<float> Filtered121(const Image<float>& image);
 int TruthWidth(const SequenceOptions& options);
 int TruthHeight(const SequenceOptions& options);
 
-// A frame by dense quadrature of Gaussian and detector over every pixel (1/4 px apart, exact to rounding for a truth of 3 cells a
-// pixel), which is not how the engine's own model works. `stream` names its noise.
+// A frame by dense quadrature of Gaussian and detector over every pixel (1/4 px apart, along the sensor's axes; exact to rounding for a
+// truth of 3 cells a pixel), which is not how the engine's own model works. `stream` names its noise.
 Image<float> RenderFrame(const Image<float>& truth, const SequenceOptions& options, const Affine& truth_from_sensor, double gain,
                          double offset, std::uint64_t stream);
 

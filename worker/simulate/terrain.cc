@@ -117,10 +117,10 @@ void DrawRoofs(cv::Mat* ground, std::uint64_t seed) {
 }
 
 // Three bars along each axis, in sizes of 1.5 to 6 cells a bar, on a grey board; and a wheel of 36 spokes.
-void DrawTargets(cv::Mat* ground, std::uint64_t seed) {
+void DrawTargets(cv::Mat* ground, std::uint64_t seed, int boards_min) {
   Rng rng({seed, kTargets});
   const int board = 110 * kFine;
-  const int count = std::max(1, static_cast<int>(ground->total() / (600.0 * 600.0 * kFine * kFine)));
+  const int count = std::max(boards_min, static_cast<int>(ground->total() / (600.0 * 600.0 * kFine * kFine)));
   for (int i = 0; i < count; ++i) {
     if (ground->cols <= board || ground->rows <= board) return;
     const int x0 = static_cast<int>((ground->cols - board) * rng.Uniform());
@@ -150,13 +150,13 @@ void DrawTargets(cv::Mat* ground, std::uint64_t seed) {
 
 }  // namespace
 
-Image<float> ProceduralTerrain(int width_cells, int height_cells, std::uint64_t seed) {
+Image<float> ProceduralTerrain(int width_cells, int height_cells, std::uint64_t seed, int boards_min) {
   TREM_CHECK(width_cells >= 64 && height_cells >= 64);
   cv::Mat ground(height_cells * kFine, width_cells * kFine, CV_32F);
   DrawFields(&ground, seed);
   DrawRoads(&ground, seed);
   DrawRoofs(&ground, seed);
-  DrawTargets(&ground, seed);
+  DrawTargets(&ground, seed, boards_min);
   Image<float> terrain(width_cells, height_cells);
   for (int y = 0; y < height_cells; ++y) {
     const auto* upper = ground.ptr<float>(kFine * y);

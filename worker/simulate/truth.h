@@ -24,9 +24,9 @@ struct Truth {
 // are scaled so that their range becomes 0..255. kNotFound / kInvalidInput name the path; at most 400 million cells, no nodata or NaN.
 Result<Image<float>> ReadGrey(const std::string& path);
 
-// A made-up place: fields with texture, roads, roofs with shadows, three-bar targets and spoked wheels. Depends on size and seed only.
-// Precondition: at least 64 x 64 cells.
-Image<float> ProceduralTerrain(int width_cells, int height_cells, std::uint64_t seed);
+// A made-up place: fields with texture, roads, roofs with shadows, and boards with three-bar targets or a spoked wheel in turn: one for
+// every 600 x 600 cells, `boards_min` at least. Depends on the arguments only. Precondition: at least 64 x 64 cells.
+Image<float> ProceduralTerrain(int width_cells, int height_cells, std::uint64_t seed, int boards_min = 1);
 
 // Writes the truth as a float32 GeoTIFF.
 Status WriteTruth(const Truth& truth, const std::filesystem::path& path);
