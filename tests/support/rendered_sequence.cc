@@ -105,6 +105,8 @@ int TruthWidth(const SequenceOptions& o) { return static_cast<int>(o.cells_per_p
 
 int TruthHeight(const SequenceOptions& o) { return static_cast<int>(o.cells_per_pixel * (TurnedRoiPx(o) + 2 * kBorderPx)); }
 
+Eigen::Vector2d FirstDwellCorner(const SequenceOptions& o) { return Eigen::Vector2d::Constant(o.cells_per_pixel * kBorderPx); }
+
 Image<float> ProceduralTruth(int width, int height, std::uint64_t seed) {
   cv::Mat canvas(height, width, CV_32F, cv::Scalar(110));
   Rng rng({seed, 77});

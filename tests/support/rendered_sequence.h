@@ -55,6 +55,8 @@ Image<float> Filtered121(const Image<float>& image);
 // Size of the truth that a sequence needs.
 int TruthWidth(const SequenceOptions& options);
 int TruthHeight(const SequenceOptions& options);
+// Where frame 0's pixel (0, 0) falls in the truth of a dwelling camera: on a cell.
+Eigen::Vector2d FirstDwellCorner(const SequenceOptions& options);
 
 // A frame by dense quadrature of Gaussian and detector over every pixel (1/4 px apart, along the sensor's axes; exact to rounding for a
 // truth of 3 cells a pixel), which is not how the engine's own model works. `stream` names its noise.

@@ -31,8 +31,8 @@ struct BenchScene {
   Image<float> Flattened(int t) const;
 };
 
-// Renders the frames over `truth` of testing::TruthWidth(options) x TruthHeight(options). Needs options.motion == kDwell and 3 cells a
-// pixel.
+// Renders the frames over `truth` of testing::TruthWidth(options) x TruthHeight(options). Needs options.motion == kDwell and a multiple
+// of 3 cells a pixel.
 BenchScene MakeBenchScene(std::string name, bool natural, Image<float> truth, const testing::SequenceOptions& options);
 
 // PSNR [dB of 255] of an answer on the scored cells, after the one gain and offset that fit best.
