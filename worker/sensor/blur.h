@@ -28,8 +28,8 @@ class Blur {
 
  private:
   Psf psf_;
-  Image<float> rows_;            // Horizontally filtered rows of the region, with `radius` rows above and below.
-  std::vector<float> padded_;    // One row with its reflected borders.
+  std::vector<float> line_;           // One row filtered down the columns, with its reflected borders.
+  std::vector<const float*> source_;  // The rows that feed it.
   TermFilter terms_;
 };
 

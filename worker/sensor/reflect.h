@@ -11,4 +11,10 @@ inline int ReflectIndex(int i, int size) {
   return i < size ? i : period - 1 - i;
 }
 
+// Fills row[x], x in [begin, end) outside [0, size), from its reflection; row[0 .. size) that it reflects to must hold values.
+inline void ReflectRow(float* row, int begin, int end, int size) {
+  for (int x = begin; x < 0; ++x) row[x] = row[ReflectIndex(x, size)];
+  for (int x = size; x < end; ++x) row[x] = row[ReflectIndex(x, size)];
+}
+
 }  // namespace trem
