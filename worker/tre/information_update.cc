@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
 
 #include "worker/sensor/bicubic.h"
 
@@ -19,6 +22,38 @@ Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + b
 // pixel. Where few frames were seen, samples are sparse and the test would punch holes.
 constexpr float kManyFrames = 3.0F;
 constexpr float kNearPartMin = 0.25F;
+
+// Keeps the step finite where nothing is known: no samples and no prior.
+constexpr float kCurvatureMin = 1e-6F;
+
+// Iterations that one sweep over a tile carries out.
+constexpr std::size_t kStepsPerSweep = 4;
+// Tiles keep a sweep's window of rows in the second-level cache. Up to this many columns a region is one tile.
+constexpr int kTileWidth = 1024;
+
+// `region` cut into tiles of equal width.
+std::vector<Roi> Tiles(const Roi& region) {
+  const int count = (region.width() + kTileWidth - 1) / kTileWidth;
+  std::vector<Roi> tiles;
+  for (int i = 0; i < count; ++i) {
+    tiles.push_back({region.x0 + region.width() * i / count, region.y0, region.x0 + region.width() * (i + 1) / count, region.y1});
+  }
+  return tiles;
+}
+
+// to = from outside `region`.
+void CopyOutside(const Image<float>& from, const Roi& region, Image<float>* to) {
+  for (int y = 0; y < from.height(); ++y) {
+    const float* source = from.row(y);
+    float* target = to->row(y);
+    if (y < region.y0 || y >= region.y1) {
+      std::copy(source, source + from.width(), target);
+      continue;
+    }
+    std::copy(source, source + region.x0, target);
+    std::copy(source + region.x1, source + from.width(), target + region.x1);
+  }
+}
 
 float NearWeight(const Image<float>& weight, int x, int y, int reach) {
   float sum = 0.0F;
@@ -124,9 +159,55 @@ void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
   blur_.Apply(buffer->scene, buffer->InBuffer(region), &buffer->prediction);
 }
 
+float InformationUpdate::NextMomentum() {
+  const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
+  ++steps_;
+  return momentum;
+}
+
 void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
   if (inner.empty()) return;
+  const bool known_prior = options_.prior.kind == StructurePriorKind::kHuberTv || options_.prior.kind == StructurePriorKind::kMembrane;
+  if (iterations < 1) {
+    Predict(region, buffer);
+  } else if (options_.fused && known_prior && blur_.psf().is_rank_one_symmetric()) {
+    IterateFused(inner, iterations, lambda, buffer);
+  } else {
+    IterateInPasses(inner, iterations, lambda, buffer);
+    Predict(region, buffer);
+  }
+}
+
+void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer) {
+  StepWeights weights;
+  weights.lambda = lambda;
+  weights.limit = options_.prior.kind == StructurePriorKind::kHuberTv ? options_.prior.delta : std::numeric_limits<float>::max();
+  weights.damping = lambda * StructurePrior::kCurvatureMax + kCurvatureMin;
+  const std::vector<Roi> tiles = Tiles(inner);
+  const bool in_place = tiles.size() == 1;
+  if (!in_place) {
+    FitSize(buffer->scene, &next_scene_);
+    FitSize(buffer->scene, &next_previous_);
+  }
+  std::vector<float> momenta;
+  while (iterations > 0) {
+    momenta.clear();
+    for (; iterations > 0 && momenta.size() < kStepsPerSweep; --iterations) momenta.push_back(NextMomentum());
+    SweepPlanes planes{&buffer->scene, &buffer->previous, &buffer->weight, &buffer->weighted, &buffer->majoriser};
+    planes.next_scene = in_place ? &buffer->scene : &next_scene_;
+    planes.next_previous = in_place ? &buffer->previous : &next_previous_;
+    planes.prediction = iterations == 0 ? &buffer->prediction : nullptr;
+    for (const Roi& tile : tiles) sweep_.Run(planes, inner, tile, momenta, weights);
+    if (in_place) continue;
+    CopyOutside(buffer->scene, inner, &next_scene_);
+    CopyOutside(buffer->previous, inner, &next_previous_);
+    std::swap(buffer->scene, next_scene_);
+    std::swap(buffer->previous, next_previous_);
+  }
+}
+
+void InformationUpdate::IterateInPasses(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer) {
   FitSize(buffer->scene, &extrapolated_);
   FitSize(buffer->scene, &residual_);
   FitSize(buffer->scene, &gradient_);
@@ -135,8 +216,8 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda,
   const Roi context = Intersect(Grown(inner, blur_.psf().radius()), whole);
   const Roi support = Intersect(Grown(inner, 2 * blur_.psf().radius()), whole);
   const float curvature = lambda * StructurePrior::kCurvatureMax;
-  for (int iteration = 0; iteration < iterations; ++iteration, ++steps_) {
-    const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
+  for (int iteration = 0; iteration < iterations; ++iteration) {
+    const float momentum = NextMomentum();
     for (int y = support.y0; y < support.y1; ++y) {
       const float* now = buffer->scene.row(y);
       const float* before = buffer->previous.row(y);
@@ -162,11 +243,10 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda,
       float* before = buffer->previous.row(y);
       for (int x = inner.x0; x < inner.x1; ++x) {
         before[x] = now[x];
-        now[x] = start[x] - g[x] / (majoriser[x] + curvature + 1e-6F);
+        now[x] = start[x] - g[x] / (majoriser[x] + curvature + kCurvatureMin);
       }
     }
   }
-  Predict(region, buffer);
 }
 
 }  // namespace trem

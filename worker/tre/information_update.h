@@ -5,6 +5,7 @@
 #include "worker/sensor/blur.h"
 #include "worker/tre/scene_buffer.h"
 #include "worker/tre/structure_prior.h"
+#include "worker/tre/update_sweep.h"
 
 namespace trem {
 
@@ -13,6 +14,9 @@ struct InformationOptions {
   double forgetting = 1.0;     // Factor on W and Z per frame, (0, 1].
   double huber_sigmas = 3.0;   // Samples further than this from the prediction lose weight.
   double momentum_max = 0.9;
+  // False: every stage of an iteration passes over the whole region, as is always done for priors other than HUBER_TV and MEMBRANE.
+  // Slower, for comparison.
+  bool fused = true;
 };
 
 // The information-form update: per cell accumulate W (weights) and Z (weighted, residual-corrected samples), and improve the scene by a
@@ -25,7 +29,7 @@ struct InformationOptions {
 // badly seen cells converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
 class InformationUpdate {
  public:
-  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options) {}
+  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options), sweep_(blur_.psf()) {}
 
   // Splats every pixel of `observation` to its nearest cell of `buffer`. `lambda`-independent. Pixels that are NaN or fall outside the
   // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
@@ -43,10 +47,17 @@ class InformationUpdate {
   // |B| 1 = 1 + 2 n and N' W <= 4 n max W (reflection folds up to four cells on one), so (1 + 2 n) (B' W + 8 n max W) bounds
   // |B|' W |B| 1. Nothing to do when n == 0.
   void AddNegativePart(const Roi& inner, SceneBuffer* buffer) const;
+  // The momentum of the next iteration.
+  float NextMomentum();
+  void IterateFused(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer);
+  void IterateInPasses(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer);
 
   Blur blur_;
   InformationOptions options_;
   int steps_ = 0;
+  UpdateSweep sweep_;
+  Image<float> next_scene_;      // Where the tiles of a large region are written.
+  Image<float> next_previous_;
   Image<float> extrapolated_;
   Image<float> residual_;
   Image<float> gradient_;

@@ -1,0 +1,81 @@
+#include "worker/tre/update_kernels.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "worker/tre/update_kernels.cc"
+#include <hwy/foreach_target.h>
+// After foreach_target.h, which includes this file again for every target.
+#include "worker/sensor/filter_rows-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace trem::HWY_NAMESPACE {
+
+void ExtrapolateRowTarget(const float* now, const float* before, float momentum, int count, float* line) {
+  const hn::ScalableTag<float> d;
+  const std::size_t lanes = hn::Lanes(d);
+  const std::size_t end = static_cast<std::size_t>(count);
+  const auto factor = hn::Set(d, momentum);
+  for (std::size_t x = 0; x < end; x += lanes) {
+    const auto value = LoadUpTo(d, now + x, end - x);
+    hn::StoreU(hn::MulAdd(factor, hn::Sub(value, LoadUpTo(d, before + x, end - x)), value), d, line + x);
+  }
+}
+
+void ResidualRowTarget(const float* in, const float* taps, int radius, const float* w, const float* z, int count, float* out) {
+  const hn::ScalableTag<float> d;
+  const std::size_t end = static_cast<std::size_t>(count);
+  FilterRowInto(d, in, taps, radius, count, [&](std::size_t x, auto filtered) HWY_ATTR {
+    hn::StoreU(hn::MulSub(LoadUpTo(d, w + x, end - x), filtered, LoadUpTo(d, z + x, end - x)), d, out + x);
+  });
+}
+
+void StepIntoTarget(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out) {
+  const hn::ScalableTag<float> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t lanes = hn::Lanes(d);
+  const std::size_t end = static_cast<std::size_t>(count);
+  const V high = hn::Set(d, weights.limit);
+  const V low = hn::Set(d, -weights.limit);
+  const V lambda = hn::Set(d, weights.lambda);
+  const V damping = hn::Set(d, weights.damping);
+  const V index = hn::Iota(d, 0.0F);
+  const auto slope = [&](V a, V b) HWY_ATTR { return hn::Min(hn::Max(hn::Sub(a, b), low), high); };
+  FilterRowInto(d, row.residual, taps, radius, count, [&](std::size_t x, auto data_gradient) HWY_ATTR {
+    const V start = hn::LoadU(d, row.start + x);
+    V left = hn::LoadU(d, row.start + x - 1);
+    V right = hn::LoadU(d, row.start + x + 1);
+    if (row.left_border && x == 0) left = hn::IfThenElse(hn::Eq(index, hn::Zero(d)), start, left);
+    if (row.right_border && x + lanes >= end) {
+      right = hn::IfThenElse(hn::Eq(index, hn::Set(d, static_cast<float>(end - 1 - x))), start, right);
+    }
+    const V vertical = hn::Add(slope(start, hn::LoadU(d, row.above + x)), slope(start, hn::LoadU(d, row.below + x)));
+    const V slopes = hn::Add(vertical, hn::Add(slope(start, left), slope(start, right)));
+    const V gradient = hn::MulAdd(lambda, slopes, data_gradient);
+    const V curvature = hn::Add(LoadUpTo(d, row.majoriser + x, end - x), damping);
+    hn::StoreU(hn::Sub(start, hn::Div(gradient, curvature)), d, out + x);
+  });
+}
+
+}  // namespace trem::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace trem {
+
+HWY_EXPORT(ExtrapolateRowTarget);
+HWY_EXPORT(ResidualRowTarget);
+HWY_EXPORT(StepIntoTarget);
+
+void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line) {
+  HWY_DYNAMIC_DISPATCH(ExtrapolateRowTarget)(now, before, momentum, count, line);
+}
+
+void ResidualRow(const float* in, const float* taps, int radius, const float* w, const float* z, int count, float* out) {
+  HWY_DYNAMIC_DISPATCH(ResidualRowTarget)(in, taps, radius, w, z, count, out);
+}
+
+void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out) {
+  HWY_DYNAMIC_DISPATCH(StepIntoTarget)(row, taps, radius, weights, count, out);
+}
+
+}  // namespace trem
+#endif  // HWY_ONCE

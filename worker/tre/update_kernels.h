@@ -1,0 +1,35 @@
+#pragma once
+
+namespace trem {
+
+// Row kernels of one step of the scene update, vectorised with run-time dispatch. Scratch rows ("line") have kRowSlack floats beyond the
+// last one in use; rows of images are read and written within [0, count) only. The order of operations for a cell is fixed, so its value
+// depends neither on the vector's width nor on how a region is cut into tiles.
+
+// line[x] = now[x] + momentum * (now[x] - before[x]).
+void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line);
+
+// out[x] = w[x] * filtered[x] - z[x], `filtered` the line `in` filtered along itself as by FilterRow. `w` and `z` are rows of images.
+void ResidualRow(const float* in, const float* taps, int radius, const float* w, const float* z, int count, float* out);
+
+// One row of the step that follows.
+struct StepRow {
+  const float* residual = nullptr;  // Line: the residual filtered down the columns; filtered along itself here.
+  const float* start = nullptr;     // Line: the extrapolated scene, from start[-1] to start[count].
+  const float* above = nullptr;     // Its rows above and below; `start` itself at the region's border.
+  const float* below = nullptr;
+  const float* majoriser = nullptr; // Row of an image.
+  bool left_border = false;         // The first cell is the region's first: it has no difference to its left.
+  bool right_border = false;        // The last cell is the region's last.
+};
+
+struct StepWeights {
+  float lambda = 0.0F;   // Of the structure prior.
+  float limit = 0.0F;    // Difference beyond which its psi' is constant [grey levels].
+  float damping = 0.0F;  // Added to the majoriser.
+};
+
+// out[x] = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping); `out` is a line.
+void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out);
+
+}  // namespace trem

@@ -1,0 +1,191 @@
+#include "worker/tre/update_sweep.h"
+
+#include <algorithm>
+
+#include "mosaic/base/check.h"
+#include "worker/sensor/filter_rows.h"
+#include "worker/sensor/reflect.h"
+
+namespace trem {
+namespace {
+
+// Lines begin at multiples of this many floats of the image's columns: whole cache lines.
+constexpr int kAlign = 16;
+
+Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
+
+int AlignedDown(int x) { return x - (((x % kAlign) + kAlign) % kAlign); }
+
+}  // namespace
+
+void UpdateSweep::Ring::Fit(int depth, int stride) {
+  depth_ = depth;
+  stride_ = stride;
+  const std::size_t floats = static_cast<std::size_t>(depth) * static_cast<std::size_t>(stride);
+  if (data_.size() < floats) data_.resize(floats);
+}
+
+void UpdateSweep::Prepare(const Roi& tile, std::span<const float> momenta) {
+  const int radius = psf_.radius();
+  const int reach = std::max(2 * radius, 1);  // The prior reads the next cell even where the PSF is a single one.
+  const Roi whole{0, 0, width(), height()};
+  count_ = momenta.size();
+  if (steps_.size() < count_) steps_.resize(count_);
+  Roi out = Intersect(region_, planes_.prediction != nullptr ? Grown(tile, radius) : tile);
+  for (std::size_t k = count_; k-- > 0;) {
+    Step& step = steps_[k];
+    step.out = out;
+    step.context = Intersect(Grown(out, radius), whole);
+    step.support = Intersect(Grown(out, reach), whole);
+    step.momentum = momenta[k];
+    step.next_extrapolated = step.support.y0;
+    step.next_residual = step.context.y0;
+    step.next_result = step.out.y0;
+    out = Intersect(region_, step.support);
+  }
+  const Roi& widest = steps_[0].support;
+  origin_ = AlignedDown(widest.x0 - radius - 1);
+  const int stride = AlignedDown(widest.x1 + radius + 1 - origin_ + kRowSlack + kAlign);
+  for (std::size_t k = 0; k < count_; ++k) {
+    steps_[k].extrapolated.Fit(reach + 2, stride);
+    steps_[k].residual.Fit(2 * radius + 1, stride);
+    steps_[k].result.Fit(reach + 2, stride);
+  }
+  if (line_.size() < static_cast<std::size_t>(stride)) line_.resize(static_cast<std::size_t>(stride));
+  rows_.resize(static_cast<std::size_t>(2 * radius + 1));
+}
+
+void UpdateSweep::Run(const SweepPlanes& planes, const Roi& region, const Roi& tile, std::span<const float> momenta,
+                      const StepWeights& weights) {
+  TREM_CHECK(!momenta.empty() && !tile.empty() && region.Contains(tile));
+  TREM_CHECK(Roi({0, 0, planes.scene->width(), planes.scene->height()}).Contains(region));
+  TREM_CHECK(planes.next_scene != planes.scene || tile == region);
+  planes_ = planes;
+  weights_ = weights;
+  region_ = region;
+  tile_ = tile;
+  Prepare(tile, momenta);
+  for (int y = tile.y0; y < tile.y1; ++y) {
+    if (planes_.prediction != nullptr) {
+      MakePrediction(y);
+    } else {
+      MakeResult(count_ - 1, y);
+    }
+  }
+}
+
+// Columns [begin, end) outside the moving part keep the scene's own values.
+void UpdateSweep::FillBeside(int y, int begin, int inner_begin, int inner_end, int end, float* line) const {
+  const float* scene = planes_.scene->row(y);
+  if (begin < inner_begin) std::copy(scene + begin, scene + inner_begin, Line(line, begin));
+  if (inner_end < end) std::copy(scene + inner_end, scene + end, Line(line, inner_end));
+}
+
+void UpdateSweep::MakeExtrapolated(std::size_t k, int last) {
+  Step& step = steps_[k];
+  for (; step.next_extrapolated <= last; ++step.next_extrapolated) {
+    const int y = step.next_extrapolated;
+    float* line = step.extrapolated.row(y);
+    const Roi& support = step.support;
+    if (y < region_.y0 || y >= region_.y1) {
+      FillBeside(y, support.x0, support.x1, support.x1, support.x1, line);
+      continue;
+    }
+    const int begin = std::max(region_.x0, support.x0);
+    const int end = std::min(region_.x1, support.x1);
+    const float* now = planes_.scene->row(y) + begin;
+    const float* before = planes_.previous->row(y) + begin;
+    if (k > 0) {
+      MakeResult(k - 1, y);
+      before = k == 1 ? now : Line(steps_[k - 2].result.row(y), begin);
+      now = Line(steps_[k - 1].result.row(y), begin);
+    }
+    ExtrapolateRow(now, before, step.momentum, end - begin, Line(line, begin));
+    FillBeside(y, support.x0, begin, end, support.x1, line);
+  }
+}
+
+void UpdateSweep::MakeResidual(std::size_t k, int last) {
+  Step& step = steps_[k];
+  const int radius = psf_.radius();
+  const Roi& context = step.context;
+  for (; step.next_residual <= last; ++step.next_residual) {
+    const int y = step.next_residual;
+    MakeExtrapolated(k, std::min(y + radius, height() - 1));
+    const int begin = AlignedDown(std::max(context.x0 - radius, 0));
+    const int end = std::min(context.x1 + radius, width());
+    for (int j = -radius; j <= radius; ++j) {
+      rows_[static_cast<std::size_t>(j + radius)] = Line(step.extrapolated.row(ReflectIndex(y + j, height())), begin);
+    }
+    FilterColumns(rows_.data(), psf_.taps.data(), radius, AlignedDown(end - begin + kAlign - 1), Line(line_.data(), begin));
+    ReflectRow(Line(line_.data(), 0), context.x0 - radius, context.x1 + radius, width());
+    ResidualRow(Line(line_.data(), context.x0), psf_.taps.data(), radius, planes_.weight->row(y) + context.x0,
+                planes_.weighted->row(y) + context.x0, context.width(), Line(step.residual.row(y), context.x0));
+  }
+}
+
+void UpdateSweep::MakeResult(std::size_t k, int last) {
+  Step& step = steps_[k];
+  const int radius = psf_.radius();
+  const Roi& out = step.out;
+  for (; step.next_result <= last; ++step.next_result) {
+    const int y = step.next_result;
+    MakeResidual(k, std::min(y + radius, height() - 1));
+    if (radius == 0) MakeExtrapolated(k, std::min(y + 1, height() - 1));
+    const int begin = AlignedDown(std::max(out.x0 - radius, 0));
+    const int end = std::min(out.x1 + radius, width());
+    for (int j = -radius; j <= radius; ++j) {
+      rows_[static_cast<std::size_t>(j + radius)] = Line(step.residual.row(ReflectIndex(y + j, height())), begin);
+    }
+    FilterColumns(rows_.data(), psf_.taps.data(), radius, AlignedDown(end - begin + kAlign - 1), Line(line_.data(), begin));
+    ReflectRow(Line(line_.data(), 0), out.x0 - radius, out.x1 + radius, width());
+    StepRow row;
+    row.residual = Line(line_.data(), out.x0);
+    row.start = Line(step.extrapolated.row(y), out.x0);
+    row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), out.x0) : row.start;
+    row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), out.x0) : row.start;
+    row.majoriser = planes_.majoriser->row(y) + out.x0;
+    row.left_border = out.x0 == region_.x0;
+    row.right_border = out.x1 == region_.x1;
+    float* line = step.result.row(y);
+    StepInto(row, psf_.taps.data(), radius, weights_, out.width(), Line(line, out.x0));
+    WriteResult(k, y, line);
+  }
+}
+
+void UpdateSweep::WriteResult(std::size_t k, int y, const float* line) {
+  if (y < tile_.y0 || y >= tile_.y1) return;
+  const float* from = line + (tile_.x0 - origin_);
+  if (k + 1 == count_) {
+    if (k == 0) {
+      const float* scene = planes_.scene->row(y) + tile_.x0;
+      std::copy(scene, scene + tile_.width(), planes_.next_previous->row(y) + tile_.x0);
+    }
+    std::copy(from, from + tile_.width(), planes_.next_scene->row(y) + tile_.x0);
+  } else if (k + 2 == count_) {
+    std::copy(from, from + tile_.width(), planes_.next_previous->row(y) + tile_.x0);
+  }
+}
+
+void UpdateSweep::MakePrediction(int y) {
+  Step& last = steps_[count_ - 1];
+  const int radius = psf_.radius();
+  const int begin = std::max(tile_.x0 - radius, 0);
+  const int end = std::min(tile_.x1 + radius, width());
+  const int ready = std::min(y + radius, region_.y1 - 1);
+  while (last.next_result <= ready) {
+    const int row = last.next_result;
+    MakeResult(count_ - 1, row);
+    FillBeside(row, begin, last.out.x0, last.out.x1, end, last.result.row(row));
+  }
+  for (int j = -radius; j <= radius; ++j) {
+    const int row = ReflectIndex(y + j, height());
+    const bool moved = row >= region_.y0 && row < region_.y1;
+    rows_[static_cast<std::size_t>(j + radius)] = moved ? Line(last.result.row(row), begin) : planes_.scene->row(row) + begin;
+  }
+  FilterColumns(rows_.data(), psf_.taps.data(), radius, end - begin, Line(line_.data(), begin));
+  ReflectRow(Line(line_.data(), 0), tile_.x0 - radius, tile_.x1 + radius, width());
+  FilterRow(Line(line_.data(), tile_.x0), psf_.taps.data(), radius, tile_.width(), planes_.prediction->row(y) + tile_.x0);
+}
+
+}  // namespace trem

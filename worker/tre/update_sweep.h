@@ -1,0 +1,95 @@
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "mosaic/base/image.h"
+#include "mosaic/geometry/roi.h"
+#include "worker/sensor/psf.h"
+#include "worker/tre/update_kernels.h"
+
+namespace trem {
+
+// What a sweep reads and writes; all images have the same size. `next_scene` may be `scene` and `next_previous` may be `previous` when one
+// tile covers the whole region.
+struct SweepPlanes {
+  const Image<float>* scene = nullptr;
+  const Image<float>* previous = nullptr;
+  const Image<float>* weight = nullptr;
+  const Image<float>* weighted = nullptr;
+  const Image<float>* majoriser = nullptr;
+  Image<float>* next_scene = nullptr;
+  Image<float>* next_previous = nullptr;
+  Image<float>* prediction = nullptr;  // B of the new scene; null: not wanted.
+};
+
+// Several accelerated steps of the information update (see InformationUpdate) on one tile in ONE pass over its rows. Every step is a
+// chain of stages, each a few rows behind the one that feeds it:
+//
+//   E = S + m (S - S_before)  ->  R = W (B E) - Z  ->  S_next = E - (B R + lambda psi'(E)) / (majoriser + damping)
+//
+// and the next step's first stage reads S_next. Only a window of about 2 * radius rows of each stage is kept, so that S, S_before, W, Z and
+// the majoriser are read from memory once and S, S_before and B S written once for all the steps. Tiles recompute what they need of their
+// neighbours (2 * radius cells to every side a step), so each cell's value is the same however the region is cut.
+class UpdateSweep {
+ public:
+  explicit UpdateSweep(SeparablePsf psf) : psf_(std::move(psf)) {}
+
+  // Runs momenta.size() >= 1 steps. `region` [cells of the images, within them] is where the scene moves; `tile` the part of it that is
+  // written. Scratch memory is kept between calls; one object per thread.
+  void Run(const SweepPlanes& planes, const Roi& region, const Roi& tile, std::span<const float> momenta, const StepWeights& weights);
+
+ private:
+  // The last rows of one stage; row y stands where row y - depth stood.
+  class Ring {
+   public:
+    void Fit(int depth, int stride);
+    float* row(int y) { return data_.data() + static_cast<std::size_t>(y % depth_) * static_cast<std::size_t>(stride_); }
+
+   private:
+    std::vector<float> data_;
+    int depth_ = 1;
+    int stride_ = 0;
+  };
+
+  // One step: where its result is computed, and the wider rectangles on which that needs residuals and the scene.
+  struct Step {
+    Roi out;
+    Roi context;
+    Roi support;
+    float momentum = 0.0F;
+    Ring extrapolated;
+    Ring residual;
+    Ring result;
+    int next_extrapolated = 0;
+    int next_residual = 0;
+    int next_result = 0;
+  };
+
+  void Prepare(const Roi& tile, std::span<const float> momenta);
+  void MakeExtrapolated(std::size_t k, int y);
+  void MakeResidual(std::size_t k, int y);
+  void MakeResult(std::size_t k, int y);
+  void MakePrediction(int y);
+  void WriteResult(std::size_t k, int y, const float* line);
+  void FillBeside(int y, int begin, int inner_begin, int inner_end, int end, float* line) const;
+
+  int width() const { return planes_.scene->width(); }
+  int height() const { return planes_.scene->height(); }
+  // Lines start at column origin_ of the images.
+  float* Line(float* line, int x) const { return line + (x - origin_); }
+
+  SeparablePsf psf_;
+  SweepPlanes planes_;
+  StepWeights weights_;
+  Roi region_;
+  Roi tile_;
+  int origin_ = 0;
+  std::size_t count_ = 0;
+  std::vector<Step> steps_;
+  std::vector<float> line_;
+  std::vector<const float*> rows_;
+};
+
+}  // namespace trem
