@@ -6,7 +6,9 @@
 #include <utility>
 #include <vector>
 
-#include "worker/sensor/bicubic.h"
+#include "worker/sensor/filter_rows.h"
+#include "worker/sensor/parallel.h"
+#include "worker/tre/splat_kernel.h"
 
 namespace trem {
 namespace {
@@ -20,23 +22,32 @@ Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + b
 // Cells beyond the last samples of many frames of a fixed camera are fitted through the PSF's tails, but not determined by the data: what
 // they hold is amplified noise. They count as not seen when less than this part of the samples about them lies within half a sensor
 // pixel. Where few frames were seen, samples are sparse and the test would punch holes.
-constexpr float kManyFrames = 3.0F;
-constexpr float kNearPartMin = 0.25F;
+constexpr SeenLimits kSeenLimits{3.0F, 0.25F};
 
 // Keeps the step finite where nothing is known: no samples and no prior.
 constexpr float kCurvatureMin = 1e-6F;
+
+// Rows that are splatted, judged or predicted at a time.
+constexpr int kBandRows = 32;
 
 // Iterations that one sweep over a tile carries out.
 constexpr std::size_t kStepsPerSweep = 4;
 // Tiles keep a sweep's window of rows in the second-level cache. Up to this many columns a region is one tile.
 constexpr int kTileWidth = 1024;
 
-// `region` cut into tiles of equal width.
-std::vector<Roi> Tiles(const Roi& region) {
-  const int count = (region.width() + kTileWidth - 1) / kTileWidth;
+// With several threads, tiles of a large region have this many rows.
+constexpr int kTileHeight = 384;
+
+// `region` cut into equal tiles, enough of them for the threads.
+std::vector<Roi> Tiles(const Roi& region, int threads) {
+  const int columns = (region.width() + kTileWidth - 1) / kTileWidth;
+  const int rows = threads > 1 ? std::max(std::max(region.height() / kTileHeight, std::min(threads, region.height() / kBandRows)), 1) : 1;
   std::vector<Roi> tiles;
-  for (int i = 0; i < count; ++i) {
-    tiles.push_back({region.x0 + region.width() * i / count, region.y0, region.x0 + region.width() * (i + 1) / count, region.y1});
+  for (int j = 0; j < rows; ++j) {
+    for (int i = 0; i < columns; ++i) {
+      tiles.push_back({region.x0 + region.width() * i / columns, region.y0 + region.height() * j / rows,
+                       region.x0 + region.width() * (i + 1) / columns, region.y0 + region.height() * (j + 1) / rows});
+    }
   }
   return tiles;
 }
@@ -55,88 +66,96 @@ void CopyOutside(const Image<float>& from, const Roi& region, Image<float>* to) 
   }
 }
 
-float NearWeight(const Image<float>& weight, int x, int y, int reach) {
-  float sum = 0.0F;
-  for (int j = std::max(y - reach, 0); j <= std::min(y + reach, weight.height() - 1); ++j) {
-    for (int i = std::max(x - reach, 0); i <= std::min(x + reach, weight.width() - 1); ++i) sum += weight.at(i, j);
+// [begin, end) cut into bands of kBandRows.
+int BandCount(int begin, int end) { return std::max(end - begin + kBandRows - 1, 0) / kBandRows; }
+
+Roi Band(const Roi& roi, int index) {
+  return {roi.x0, roi.y0 + index * kBandRows, roi.x1, std::min(roi.y0 + (index + 1) * kBandRows, roi.y1)};
+}
+
+// The pixels of `row` (all `count` of them) that may fall nearest to rows [begin, end) of the buffer; begin is a multiple of 4.
+void LimitTo(int begin, int end, int count, SplatRow* row) {
+  row->begin = 0;
+  row->end = count;
+  const double low = begin - 1.0 - row->y;
+  const double high = end + 1.0 - row->y;
+  if (std::abs(row->dy) * count < 0.5) {
+    if (high < -1.0 || low > 1.0) row->end = 0;
+    return;
   }
-  return sum;
+  const double first = std::floor(std::min(low / row->dy, high / row->dy));
+  const double last = std::ceil(std::max(low / row->dy, high / row->dy));
+  row->begin = static_cast<int>(std::clamp(first, 0.0, static_cast<double>(count))) / 4 * 4;
+  row->end = static_cast<int>(std::clamp(last + 1.0, 0.0, static_cast<double>(count)));
 }
 
 }  // namespace
 
 void InformationUpdate::AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const {
-  if (options_.forgetting < 1.0) {
-    const Roi inner = buffer->InBuffer(region);
-    const float factor = static_cast<float>(options_.forgetting);
-    for (int y = inner.y0; y < inner.y1; ++y) {
-      for (int x = inner.x0; x < inner.x1; ++x) {
-        buffer->weight.at(x, y) *= factor;
-        buffer->weighted.at(x, y) *= factor;
+  const Roi inner = buffer->InBuffer(region);
+  const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
+  const Roi& roi = observation.roi;
+  const Eigen::Matrix2d& linear = view.scene_from_sensor.linear;
+  const SplatModel model{static_cast<float>(view.gain), static_cast<float>(view.offset),
+                         static_cast<float>(options_.huber_sigmas * observation.noise_sigma)};
+  const SplatPlanes planes{&buffer->prediction, &buffer->seen, &buffer->weight, &buffer->weighted};
+  // Each band of the scene's rows takes its samples from all of the frame, in the frame's order: no two bands write the same cell.
+  ForEachIndex(options_.threads, BandCount(whole.y0, whole.y1), [&](int index, int) {
+    const Roi band = Band(whole, index);
+    if (options_.forgetting < 1.0) {
+      const Roi faded = Intersect(band, inner);
+      for (int y = faded.y0; y < faded.y1; ++y) {
+        ScaleRow(static_cast<float>(options_.forgetting), faded.width(), buffer->weight.row(y) + faded.x0);
+        ScaleRow(static_cast<float>(options_.forgetting), faded.width(), buffer->weighted.row(y) + faded.x0);
       }
     }
-  }
-  const Roi& roi = observation.roi;
-  const float gain = static_cast<float>(view.gain);
-  const float offset = static_cast<float>(view.offset);
-  const float limit = static_cast<float>(options_.huber_sigmas * observation.noise_sigma);
-  for (int v = 0; v < roi.height(); ++v) {
-    const float* pixels = observation.roi_pixels->row(v);
-    for (int u = 0; u < roi.width(); ++u) {
-      const float trust = observation.weight(u, v);
-      if (std::isnan(pixels[u]) || !(trust > 0.0F)) continue;
-      const Eigen::Vector2d scene = view.scene_from_sensor * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);
-      const double x = scene.x() - buffer->extent.x0;
-      const double y = scene.y() - buffer->extent.y0;
-      if (!CubicSupported(buffer->prediction, x, y)) continue;
-      const int cx = static_cast<int>(x + 0.5);
-      const int cy = static_cast<int>(y + 0.5);
-      const float predicted = SampleCubic(buffer->prediction, x, y);
-      const float value = (pixels[u] - offset) / gain;
-      const float residual = gain * (value - predicted);
-      // The first look at a cell has nothing to be an outlier of.
-      const bool known = buffer->seen.at(cx, cy) >= 1.5F;
-      const float robust = known && std::abs(residual) > limit ? limit / std::abs(residual) : 1.0F;
-      const float weight = trust * robust * gain * gain;
-      // Residual correction: the sample is carried from where it was taken to the cell's centre along the model's own slope.
-      buffer->weight.at(cx, cy) += weight;
-      buffer->weighted.at(cx, cy) += weight * (value - predicted + buffer->prediction.at(cx, cy));
+    for (int v = 0; v < roi.height(); ++v) {
+      const Eigen::Vector2d first = view.scene_from_sensor * Eigen::Vector2d(roi.x0, roi.y0 + v);
+      SplatRow row;
+      row.x = first.x() - buffer->extent.x0;
+      row.y = first.y() - buffer->extent.y0;
+      row.dx = linear(0, 0);
+      row.dy = linear(1, 0);
+      LimitTo(band.y0, band.y1, roi.width(), &row);
+      if (row.begin >= row.end) continue;
+      row.pixels = observation.roi_pixels->row(v);
+      row.weights = observation.weights != nullptr ? observation.weights->row(v) : nullptr;
+      Splat(row, model, band.y0, band.y1, planes);
     }
-  }
+  });
 }
 
-void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
+void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) const {
   const Roi inner = buffer->InBuffer(region);
-  blur_.ApplyAdjoint(buffer->weight, inner, &buffer->majoriser);
-  AddNegativePart(inner, buffer);
+  if (inner.empty()) return;
   // Tents one sensor pixel wide to either side: the samples of one frame add up to 1 everywhere inside its ROI.
-  FitSize(buffer->weight, &row_sums_);
-  const Roi whole{0, 0, buffer->weight.width(), buffer->weight.height()};
-  const Roi rows = Intersect(Grown(inner, ratio - 1), whole);
-  const float scale = 1.0F / static_cast<float>(ratio * ratio);
-  for (int y = rows.y0; y < rows.y1; ++y) {
-    const float* weight = buffer->weight.row(y);
-    float* sums = row_sums_.row(y);
-    for (int x = inner.x0; x < inner.x1; ++x) {
-      float sum = 0.0F;
-      const int first = std::max(x - ratio + 1, 0);
-      const int last = std::min(x + ratio - 1, whole.x1 - 1);
-      for (int i = first; i <= last; ++i) sum += static_cast<float>(ratio - std::abs(x - i)) * weight[i];
-      sums[x] = sum;
+  std::vector<float> tent_taps;
+  for (int i = 0; i < ratio; ++i) tent_taps.push_back(static_cast<float>(ratio - i));
+  const std::vector<float> near_taps(static_cast<std::size_t>(ratio / 2 + 1), 1.0F);
+  const Image<float>& weight = buffer->weight;
+  ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1), [&](int index, int) {
+    const Roi band = Band(inner, index);
+    Blur(blur_.psf()).ApplyAdjoint(weight, band, &buffer->majoriser);
+    // Beyond the buffer there are no samples.
+    const std::vector<float> nothing(static_cast<std::size_t>(weight.width()), 0.0F);
+    const int begin = std::max(band.x0 - ratio, 0);
+    const int end = std::min(band.x1 + ratio, weight.width());
+    const std::size_t length = static_cast<std::size_t>(band.width() + 2 * ratio + kRowSlack);
+    std::vector<float> tents(length, 0.0F);
+    std::vector<float> near(length, 0.0F);
+    const int shift = ratio - band.x0;  // Cell x of the buffer is at x + shift of the lines.
+    std::vector<const float*> rows(static_cast<std::size_t>(2 * ratio - 1));
+    for (int y = band.y0; y < band.y1; ++y) {
+      for (int k = 1 - ratio; k < ratio; ++k) {
+        const bool inside = y + k >= 0 && y + k < weight.height();
+        rows[static_cast<std::size_t>(k + ratio - 1)] = (inside ? weight.row(y + k) : nothing.data()) + begin;
+      }
+      FilterColumns(rows.data(), tent_taps.data(), ratio - 1, end - begin, tents.data() + begin + shift);
+      FilterColumns(rows.data() + (ratio - 1 - ratio / 2), near_taps.data(), ratio / 2, end - begin, near.data() + begin + shift);
+      SeenRow(tents.data() + ratio, near.data() + ratio, ratio, kSeenLimits, band.width(), buffer->seen.row(y) + band.x0);
     }
-  }
-  for (int y = inner.y0; y < inner.y1; ++y) {
-    float* seen = buffer->seen.row(y);
-    std::fill(seen + inner.x0, seen + inner.x1, 0.0F);
-    for (int j = std::max(y - ratio + 1, 0); j <= std::min(y + ratio - 1, whole.y1 - 1); ++j) {
-      const float* sums = row_sums_.row(j);
-      const float tent = scale * static_cast<float>(ratio - std::abs(y - j));
-      for (int x = inner.x0; x < inner.x1; ++x) seen[x] += tent * sums[x];
-    }
-    for (int x = inner.x0; x < inner.x1; ++x) {
-      if (seen[x] >= kManyFrames && NearWeight(buffer->weight, x, y, ratio / 2) < kNearPartMin * seen[x]) seen[x] = 0.0F;
-    }
-  }
+  });
+  AddNegativePart(inner, buffer);
 }
 
 void InformationUpdate::AddNegativePart(const Roi& inner, SceneBuffer* buffer) const {
@@ -155,8 +174,10 @@ void InformationUpdate::AddNegativePart(const Roi& inner, SceneBuffer* buffer) c
   }
 }
 
-void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
-  blur_.Apply(buffer->scene, buffer->InBuffer(region), &buffer->prediction);
+void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) const {
+  const Roi inner = buffer->InBuffer(region);
+  ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1),
+               [&](int index, int) { Blur(blur_.psf()).Apply(buffer->scene, Band(inner, index), &buffer->prediction); });
 }
 
 float InformationUpdate::NextMomentum() {
@@ -184,12 +205,14 @@ void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lam
   weights.lambda = lambda;
   weights.limit = options_.prior.kind == StructurePriorKind::kHuberTv ? options_.prior.delta : std::numeric_limits<float>::max();
   weights.damping = lambda * StructurePrior::kCurvatureMax + kCurvatureMin;
-  const std::vector<Roi> tiles = Tiles(inner);
+  const std::vector<Roi> tiles = Tiles(inner, options_.threads);
   const bool in_place = tiles.size() == 1;
   if (!in_place) {
     FitSize(buffer->scene, &next_scene_);
     FitSize(buffer->scene, &next_previous_);
   }
+  const std::size_t threads = static_cast<std::size_t>(std::max(options_.threads, 1));
+  while (sweeps_.size() < threads) sweeps_.emplace_back(blur_.psf());
   std::vector<float> momenta;
   while (iterations > 0) {
     momenta.clear();
@@ -198,7 +221,9 @@ void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lam
     planes.next_scene = in_place ? &buffer->scene : &next_scene_;
     planes.next_previous = in_place ? &buffer->previous : &next_previous_;
     planes.prediction = iterations == 0 ? &buffer->prediction : nullptr;
-    for (const Roi& tile : tiles) sweep_.Run(planes, inner, tile, momenta, weights);
+    ForEachIndex(options_.threads, static_cast<int>(tiles.size()), [&](int tile, int slot) {
+      sweeps_[static_cast<std::size_t>(slot)].Run(planes, inner, tiles[static_cast<std::size_t>(tile)], momenta, weights);
+    });
     if (in_place) continue;
     CopyOutside(buffer->scene, inner, &next_scene_);
     CopyOutside(buffer->previous, inner, &next_previous_);

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <vector>
+
 #include "worker/registration/target.h"
 #include "worker/registration/view.h"
 #include "worker/sensor/blur.h"
@@ -17,6 +19,7 @@ struct InformationOptions {
   // False: every stage of an iteration passes over the whole region, as is always done for priors other than HUBER_TV and MEMBRANE.
   // Slower, for comparison.
   bool fused = true;
+  int threads = 1;             // The result does not depend on it.
 };
 
 // The information-form update: per cell accumulate W (weights) and Z (weighted, residual-corrected samples), and improve the scene by a
@@ -29,18 +32,18 @@ struct InformationOptions {
 // badly seen cells converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
 class InformationUpdate {
  public:
-  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options), sweep_(blur_.psf()) {}
+  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options) {}
 
   // Splats every pixel of `observation` to its nearest cell of `buffer`. `lambda`-independent. Pixels that are NaN or fall outside the
   // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
   void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
   // Recomputes buffer->majoriser and buffer->seen on `region` (scene plane).
-  void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
+  void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) const;
   // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
   // last AddFrame.
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // buffer->prediction = B S on `region`.
-  void Predict(const Roi& region, SceneBuffer* buffer);
+  void Predict(const Roi& region, SceneBuffer* buffer) const;
 
  private:
   // Keeps the majoriser valid for a PSF whose separable terms leave a little negative mass n: with |B| = B + 2 N, N the negative part,
@@ -55,13 +58,12 @@ class InformationUpdate {
   Blur blur_;
   InformationOptions options_;
   int steps_ = 0;
-  UpdateSweep sweep_;
+  std::vector<UpdateSweep> sweeps_;  // One per thread.
   Image<float> next_scene_;      // Where the tiles of a large region are written.
   Image<float> next_previous_;
   Image<float> extrapolated_;
   Image<float> residual_;
   Image<float> gradient_;
-  Image<float> row_sums_;
 };
 
 }  // namespace trem

@@ -55,6 +55,34 @@ void StepIntoTarget(const StepRow& row, const float* taps, int radius, const Ste
   });
 }
 
+void ScaleRowTarget(float factor, int count, float* row) {
+  const hn::ScalableTag<float> d;
+  const std::size_t end = static_cast<std::size_t>(count);
+  for (std::size_t x = 0; x < end; x += hn::Lanes(d)) {
+    StoreUpTo(d, hn::Mul(hn::Set(d, factor), LoadUpTo(d, row + x, end - x)), row + x, end - x);
+  }
+}
+
+void SeenRowTarget(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen) {
+  const hn::ScalableTag<float> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t end = static_cast<std::size_t>(count);
+  const V scale = hn::Set(d, 1.0F / static_cast<float>(ratio * ratio));
+  for (std::size_t x = 0; x < end; x += hn::Lanes(d)) {
+    V sum = hn::Mul(hn::Set(d, static_cast<float>(ratio)), hn::LoadU(d, tents + x));
+    for (int i = 1; i < ratio; ++i) {
+      const V pair = hn::Add(hn::LoadU(d, tents + x - i), hn::LoadU(d, tents + x + i));
+      sum = hn::MulAdd(hn::Set(d, static_cast<float>(ratio - i)), pair, sum);
+    }
+    V about = hn::LoadU(d, near + x);
+    for (int i = 1; i <= ratio / 2; ++i) about = hn::Add(about, hn::Add(hn::LoadU(d, near + x - i), hn::LoadU(d, near + x + i)));
+    const V frames = hn::Mul(scale, sum);
+    const auto many = hn::Ge(frames, hn::Set(d, limits.many_frames));
+    const auto bare = hn::Lt(about, hn::Mul(hn::Set(d, limits.near_part_min), frames));
+    StoreUpTo(d, hn::IfThenZeroElse(hn::And(many, bare), frames), seen + x, end - x);
+  }
+}
+
 }  // namespace trem::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();
 
@@ -64,6 +92,8 @@ namespace trem {
 HWY_EXPORT(ExtrapolateRowTarget);
 HWY_EXPORT(ResidualRowTarget);
 HWY_EXPORT(StepIntoTarget);
+HWY_EXPORT(ScaleRowTarget);
+HWY_EXPORT(SeenRowTarget);
 
 void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line) {
   HWY_DYNAMIC_DISPATCH(ExtrapolateRowTarget)(now, before, momentum, count, line);
@@ -75,6 +105,12 @@ void ResidualRow(const float* in, const float* taps, int radius, const float* w,
 
 void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out) {
   HWY_DYNAMIC_DISPATCH(StepIntoTarget)(row, taps, radius, weights, count, out);
+}
+
+void ScaleRow(float factor, int count, float* row) { HWY_DYNAMIC_DISPATCH(ScaleRowTarget)(factor, count, row); }
+
+void SeenRow(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen) {
+  HWY_DYNAMIC_DISPATCH(SeenRowTarget)(tents, near, ratio, limits, count, seen);
 }
 
 }  // namespace trem

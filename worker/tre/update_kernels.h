@@ -32,4 +32,17 @@ struct StepWeights {
 // out[x] = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping); `out` is a line.
 void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out);
 
+// row[x] *= factor; a row of an image.
+void ScaleRow(float factor, int count, float* row);
+
+// How InformationUpdate::UpdateSeen judges cells.
+struct SeenLimits {
+  float many_frames = 0.0F;    // Cells with at least this weight about them ...
+  float near_part_min = 0.0F;  // ... count as not seen when less than this part of it lies near.
+};
+
+// One row of the count of frames: seen[x] = sum_i (ratio - |i|) * tents[x + i] / ratio^2 over |i| < ratio, and 0 where that is many frames but
+// sum of near[x + i] over |i| <= ratio / 2 is too small a part of it. `tents` and `near` are lines with `ratio` cells to either side.
+void SeenRow(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen);
+
 }  // namespace trem

@@ -6,6 +6,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <map>
@@ -203,6 +204,97 @@ TEST(InformationUpdate, ForgettingFadesTheRegionOnly) {
   update.AddFrame({&nothing, kRoi, 2.0}, ViewOf(0.0, 0.0), region, &buffer);
   EXPECT_EQ(buffer.weight.at(5 - kPlane.x0, 5 - kPlane.y0), 0.5F);
   EXPECT_EQ(buffer.weight.at(15 - kPlane.x0, 5 - kPlane.y0), 1.0F);
+}
+
+// Several frames and iterations on a moving region, as a segment does it.
+SceneBuffer BufferAfterFrames(const InformationOptions& options) {
+  InformationUpdate update(Blur(Psf()), options);
+  SceneBuffer buffer(kPlane);
+  for (float& cell : buffer.scene.pixels()) cell = 100.0F;
+  buffer.previous = buffer.scene;
+  Rng rng({98});
+  for (std::uint64_t k = 0; k < 6; ++k) {
+    const Image<float> frame = NoisyFrame(k);
+    View view = ViewOf(3.0 * rng.Uniform(), 3.0 * rng.Uniform());
+    view.scene_from_sensor.linear(0, 1) = 0.1;
+    view.scene_from_sensor.linear(1, 0) = -0.1;
+    const Roi region{kPlane.x0 + static_cast<int>(k), kPlane.y0, kPlane.x1, kPlane.y1 - static_cast<int>(k)};
+    update.Predict(region, &buffer);
+    update.AddFrame({&frame, kRoi, 2.0}, view, region, &buffer);
+    update.UpdateSeen(region, kRatio, &buffer);
+    update.Iterate(region, static_cast<int>(k), 0.02F, &buffer);
+  }
+  return buffer;
+}
+
+TEST(InformationUpdate, ThreadsDoNotChangeAByte) {
+  InformationOptions options;
+  options.forgetting = 0.98;
+  const SceneBuffer one = BufferAfterFrames(options);
+  for (const int threads : {2, 4}) {
+    options.threads = threads;
+    const SceneBuffer several = BufferAfterFrames(options);
+    for (const auto plane : {&SceneBuffer::scene, &SceneBuffer::previous, &SceneBuffer::weight, &SceneBuffer::weighted,
+                             &SceneBuffer::prediction, &SceneBuffer::majoriser, &SceneBuffer::seen}) {
+      const auto a = (one.*plane).pixels();
+      const auto b = (several.*plane).pixels();
+      EXPECT_TRUE(std::equal(a.begin(), a.end(), b.begin(), b.end())) << threads << " threads";
+    }
+  }
+}
+
+TEST(InformationUpdate, TheSweepIsTheIterationInPassesWithinRounding) {
+  for (const StructurePriorKind kind : {StructurePriorKind::kHuberTv, StructurePriorKind::kMembrane}) {
+    InformationOptions options;
+    options.prior.kind = kind;
+    const SceneBuffer fused = BufferAfterFrames(options);
+    options.fused = false;
+    const SceneBuffer passes = BufferAfterFrames(options);
+    for (int y = 0; y < fused.scene.height(); ++y) {
+      for (int x = 0; x < fused.scene.width(); ++x) {
+        ASSERT_NEAR(fused.scene.at(x, y), passes.scene.at(x, y), 2e-3) << x << ", " << y;
+        ASSERT_NEAR(fused.previous.at(x, y), passes.previous.at(x, y), 2e-3) << x << ", " << y;
+        ASSERT_NEAR(fused.prediction.at(x, y), passes.prediction.at(x, y), 2e-3) << x << ", " << y;
+      }
+    }
+  }
+}
+
+TEST(InformationUpdate, SeenIsTheTentsSumUnlessTheSamplesAreFar) {
+  const InformationUpdate update(Blur(Psf()), {});
+  SceneBuffer buffer(kPlane);
+  Rng rng({97});
+  for (float& cell : buffer.weight.pixels()) cell = rng.Uniform() < 0.3 ? static_cast<float>(12.0 * rng.Uniform()) : 0.0F;
+  // Ground that was seen beside ground that was not.
+  for (int y = 0; y < buffer.weight.height(); ++y) std::fill(buffer.weight.row(y) + 30, buffer.weight.row(y) + 45, 0.0F);
+  for (const Roi& region : {kPlane, Roi{0, 0, 40, 30}}) {
+    std::fill(buffer.seen.pixels().begin(), buffer.seen.pixels().end(), -1.0F);
+    update.UpdateSeen(region, kRatio, &buffer);
+    const Roi inner = buffer.InBuffer(region);
+    int judged_unseen = 0;
+    for (int y = 0; y < buffer.seen.height(); ++y) {
+      for (int x = 0; x < buffer.seen.width(); ++x) {
+        double expected = -1.0;
+        if (inner.Contains(x, y)) {
+          double about = 0.0;
+          expected = 0.0;
+          for (int j = -2; j <= 2; ++j) {
+            for (int i = -2; i <= 2; ++i) {
+              if (!Roi({0, 0, buffer.weight.width(), buffer.weight.height()}).Contains(x + i, y + j)) continue;
+              expected += (3 - std::abs(i)) * (3 - std::abs(j)) / 9.0 * static_cast<double>(buffer.weight.at(x + i, y + j));
+              if (std::abs(i) <= 1 && std::abs(j) <= 1) about += static_cast<double>(buffer.weight.at(x + i, y + j));
+            }
+          }
+          if (expected >= 3.0 && about < 0.25 * expected) {
+            expected = 0.0;
+            ++judged_unseen;
+          }
+        }
+        ASSERT_NEAR(buffer.seen.at(x, y), expected, 1e-4) << x << ", " << y;
+      }
+    }
+    EXPECT_GT(judged_unseen, 5) << "the case tests something";
+  }
 }
 
 }  // namespace

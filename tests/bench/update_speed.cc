@@ -1,0 +1,145 @@
+// Question: how near is the scene update to what the machine can do?
+// Baseline, measured in the same run: the peak of one core's fused multiply-adds and a memcpy of the bytes that must move
+// (tests/bench/roofline.h). The floor of a stage is the larger of the two times.
+//
+// Work per cell of the scene, r the PSF's radius in cells, q the ratio, K iterations; a plane is 4 bytes a cell, read or written once:
+//   splat       5 planes (prediction read, W and Z read and written); 104 FLOP a pixel of the frame, 2 a cell (forgetting)
+//   seen        3 planes (W read, majoriser and seen written); B 2 (3 r + 1), tents 2 (3 q - 2), near 2 (2 floor(q / 2)), 2
+//   predict     2 planes (S read, B S written); 2 (3 r + 1)
+//   iterate K   8 planes (S, S before, W, Z, majoriser read; S, S before, B S written); K (4 (3 r + 1) + 17) + 2 (3 r + 1):
+//               two B, 3 extrapolation, 2 residual, 12 prior and step, per iteration; one B for the prediction
+//   update      splat + seen + iterate
+// Minima and maxima, address arithmetic and what tiles recompute of their neighbours are not counted.
+#include <benchmark/benchmark.h>
+
+#include <chrono>
+#include <string>
+
+#include "mosaic/base/rng.h"
+#include "tests/bench/roofline.h"
+#include "worker/tre/information_update.h"
+
+namespace trem {
+namespace {
+
+constexpr int kRatio = 3;
+constexpr float kLambda = 0.02F;
+
+struct Size {
+  int width;
+  int height;
+};
+constexpr Size kSizes[] = {{41, 71}, {151, 151}, {640, 512}};
+
+struct Fixture {
+  Roi roi;
+  SeparablePsf psf = *MakePsf({0.55, 0.9}, kRatio);
+  Roi region;
+  View view;
+  Image<float> frame;
+  InformationUpdate update;
+  SceneBuffer buffer;
+
+  Fixture(const Size& size, int threads)
+      : roi{0, 0, size.width, size.height},
+        region{-Margin(), -Margin(), kRatio * size.width + Margin(), kRatio * size.height + Margin()},
+        frame(size.width, size.height),
+        update(Blur(psf), Options(threads)),
+        buffer(region) {
+    Rng rng({1});
+    for (float& p : frame.pixels()) p = static_cast<float>(100.0 + 20.0 * rng.Normal());
+    for (float& s : buffer.scene.pixels()) s = static_cast<float>(100.0 + 5.0 * rng.Normal());
+    buffer.previous = buffer.scene;
+    view.scene_from_sensor.linear << 3.0, 0.02, -0.02, 3.0;
+    view.scene_from_sensor.offset = {0.4, 4.3};
+    update.Predict(region, &buffer);
+    Splat();
+    Seen();
+  }
+
+  int Margin() const { return psf.radius() + 3; }
+  static InformationOptions Options(int threads) {
+    InformationOptions options;
+    options.forgetting = 0.985;
+    options.threads = threads;
+    return options;
+  }
+  void Splat() { update.AddFrame({&frame, roi, 2.0}, view, region, &buffer); }
+  void Seen() { update.UpdateSeen(region, kRatio, &buffer); }
+  void Predict() { update.Predict(region, &buffer); }
+  void Iterate(int iterations) { update.Iterate(region, iterations, kLambda, &buffer); }
+
+  double cells() const { return static_cast<double>(region.area()); }
+  double blur_flops() const { return 2.0 * (3.0 * psf.radius() + 1.0); }
+  bench::Work SplatWork() const { return {104.0 * static_cast<double>(roi.area()) + 2.0 * cells(), 5 * 4 * cells()}; }
+  bench::Work SeenWork() const {
+    return {cells() * (blur_flops() + 2.0 * (3.0 * kRatio - 2.0) + 4.0 * (kRatio / 2) + 2.0), 3 * 4 * cells()};
+  }
+  bench::Work PredictWork() const { return {cells() * blur_flops(), 2 * 4 * cells()}; }
+  bench::Work IterateWork(int iterations) const {
+    return {cells() * (iterations * (2.0 * blur_flops() + 17.0) + blur_flops()), 8 * 4 * cells()};
+  }
+};
+
+using Stage = void (*)(Fixture*);
+using StageWork = bench::Work (*)(const Fixture&);
+
+void RunStage(benchmark::State& state, const Size& size, int threads, Stage stage, StageWork work) {
+  Fixture fixture(size, threads);
+  stage(&fixture);
+  double seconds = 0.0;
+  long rounds = 0;
+  for (auto _ : state) {
+    const auto start = std::chrono::steady_clock::now();
+    stage(&fixture);
+    seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    ++rounds;
+  }
+  bench::Judge(state, work(fixture), seconds / static_cast<double>(rounds));
+}
+
+bench::Work Sum(std::initializer_list<bench::Work> parts) {
+  bench::Work sum;
+  for (const bench::Work& part : parts) {
+    sum.flops += part.flops;
+    sum.bytes += part.bytes;
+  }
+  return sum;
+}
+
+void Register(const std::string& name, const Size& size, int threads, Stage stage, StageWork work) {
+  const std::string full = name + "/" + std::to_string(size.width) + "x" + std::to_string(size.height) +
+                           (threads > 1 ? "/threads:" + std::to_string(threads) : std::string());
+  benchmark::RegisterBenchmark(full.c_str(), [=](benchmark::State& state) { RunStage(state, size, threads, stage, work); })
+      ->Unit(benchmark::kMillisecond)
+      ->UseRealTime();
+}
+
+void RegisterAll() {
+  for (const Size& size : kSizes) {
+    Register("splat", size, 1, [](Fixture* f) { f->Splat(); }, [](const Fixture& f) { return f.SplatWork(); });
+    Register("seen", size, 1, [](Fixture* f) { f->Seen(); }, [](const Fixture& f) { return f.SeenWork(); });
+    Register("predict", size, 1, [](Fixture* f) { f->Predict(); }, [](const Fixture& f) { return f.PredictWork(); });
+    Register("iterate_K2", size, 1, [](Fixture* f) { f->Iterate(2); }, [](const Fixture& f) { return f.IterateWork(2); });
+    Register("iterate_K4", size, 1, [](Fixture* f) { f->Iterate(4); }, [](const Fixture& f) { return f.IterateWork(4); });
+    for (const int threads : {1, 2}) {
+      const Stage update = [](Fixture* f) {
+        f->Splat();
+        f->Seen();
+        f->Iterate(2);
+      };
+      Register("update_K2", size, threads, update, [](const Fixture& f) { return Sum({f.SplatWork(), f.SeenWork(), f.IterateWork(2)}); });
+    }
+  }
+}
+
+}  // namespace
+}  // namespace trem
+
+int main(int argc, char** argv) {
+  trem::RegisterAll();
+  benchmark::Initialize(&argc, argv);
+  if (benchmark::ReportUnrecognizedArguments(argc, argv)) return 2;
+  benchmark::RunSpecifiedBenchmarks();
+  return 0;
+}

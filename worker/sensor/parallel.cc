@@ -1,0 +1,24 @@
+#include "worker/sensor/parallel.h"
+
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+namespace trem {
+
+void ForEachIndex(int threads, int count, const std::function<void(int index, int slot)>& body) {
+  if (threads <= 1 || count <= 1) {
+    for (int index = 0; index < count; ++index) body(index, 0);
+    return;
+  }
+  tbb::task_arena arena(threads);
+  arena.execute([&] {
+    tbb::parallel_for(
+        tbb::blocked_range<int>(0, count, 1),
+        [&](const tbb::blocked_range<int>& range) {
+          for (int index = range.begin(); index < range.end(); ++index) body(index, tbb::this_task_arena::current_thread_index());
+        },
+        tbb::simple_partitioner());
+  });
+}
+
+}  // namespace trem
