@@ -75,18 +75,24 @@ Roi Band(const Roi& roi, int index) {
 
 // The pixels of `row` (all `count` of them) that may fall nearest to rows [begin, end) of the buffer; begin is a multiple of 4.
 void LimitTo(int begin, int end, int count, SplatRow* row) {
-  row->begin = 0;
-  row->end = count;
-  const double low = begin - 1.0 - row->y;
-  const double high = end + 1.0 - row->y;
-  if (std::abs(row->dy) * count < 0.5) {
-    if (high < -1.0 || low > 1.0) row->end = 0;
-    return;
-  }
-  const double first = std::floor(std::min(low / row->dy, high / row->dy));
-  const double last = std::ceil(std::max(low / row->dy, high / row->dy));
-  row->begin = static_cast<int>(std::clamp(first, 0.0, static_cast<double>(count))) / 4 * 4;
-  row->end = static_cast<int>(std::clamp(last + 1.0, 0.0, static_cast<double>(count)));
+  double first = 0.0;
+  double last = count;
+  // Leaves out where value + u * slope is negative.
+  const auto limit = [&](double value, double slope) {
+    if (std::abs(slope) * count < 0.25) {
+      if (value < -0.5) last = 0.0;
+    } else if (slope > 0.0) {
+      first = std::max(first, std::floor(-value / slope));
+    } else {
+      last = std::min(last, std::ceil(-value / slope) + 1.0);
+    }
+  };
+  const double low = begin - 1.0;
+  const double high = end + 1.0;
+  limit(row->y - low * row->depth, row->dy - low * row->d_depth);
+  limit(high * row->depth - row->y, high * row->d_depth - row->dy);
+  row->begin = static_cast<int>(std::min(first, static_cast<double>(count))) / 4 * 4;
+  row->end = static_cast<int>(std::max(last, 0.0));
 }
 
 }  // namespace
@@ -95,7 +101,10 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
   const Roi inner = buffer->InBuffer(region);
   const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
   const Roi& roi = observation.roi;
-  const Eigen::Matrix2d& linear = view.scene_from_sensor.linear;
+  const PlanarMap& map = view.scene_from_sensor;
+  const Eigen::Vector2d origin(buffer->extent.x0, buffer->extent.y0);
+  // Of a step along a row: in the scene times the depth, and relative to the buffer.
+  const Eigen::Vector2d along = map.linear.col(0) - map.perspective.x() * origin;
   const SplatModel model{static_cast<float>(view.gain), static_cast<float>(view.offset),
                          static_cast<float>(options_.huber_sigmas * observation.noise_sigma)};
   const SplatPlanes planes{&buffer->prediction, &buffer->seen, &buffer->weight, &buffer->weighted};
@@ -110,12 +119,15 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
       }
     }
     for (int v = 0; v < roi.height(); ++v) {
-      const Eigen::Vector2d first = view.scene_from_sensor * Eigen::Vector2d(roi.x0, roi.y0 + v);
+      const Eigen::Vector2d pixel(roi.x0, roi.y0 + v);
       SplatRow row;
-      row.x = first.x() - buffer->extent.x0;
-      row.y = first.y() - buffer->extent.y0;
-      row.dx = linear(0, 0);
-      row.dy = linear(1, 0);
+      row.depth = map.Depth(pixel);
+      row.d_depth = map.perspective.x();
+      const Eigen::Vector2d first = map.linear * pixel + map.offset - row.depth * origin;
+      row.x = first.x();
+      row.y = first.y();
+      row.dx = along.x();
+      row.dy = along.y();
       LimitTo(band.y0, band.y1, roi.width(), &row);
       if (row.begin >= row.end) continue;
       row.pixels = observation.roi_pixels->row(v);

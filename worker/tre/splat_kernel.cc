@@ -19,8 +19,10 @@ namespace trem::HWY_NAMESPACE {
 // For processors without vectors of four floats: one pixel after the other.
 void SplatTarget(const SplatRow& row, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes) {
   for (int u = row.begin; u < row.end; ++u) {
-    const double x = row.x + u * row.dx;
-    const double y = row.y + u * row.dy;
+    const double depth = row.depth + u * row.d_depth;
+    if (!(depth > 0.0)) continue;
+    const double x = (row.x + u * row.dx) / depth;
+    const double y = (row.y + u * row.dy) / depth;
     const float trust = row.weights != nullptr ? row.weights[u] : 1.0F;
     if (std::isnan(row.pixels[u]) || !(trust > 0.0F) || !CubicSupported(*planes.prediction, x, y)) continue;
     const int cx = static_cast<int>(x + 0.5);
@@ -47,12 +49,33 @@ struct Places {
   V4 fraction;
 };
 
-// Places of four pixels from `at` on, `step` apart. The first one's whole part is split off in double precision, so that the fraction is as
-// good as a float can be however large the buffer is.
-HWY_INLINE int Locate(double at, double step, Places* places) {
+// Places are clamped to this; beyond any buffer and within an int.
+constexpr double kFar = 1e6;
+
+// Places of the four pixels from `u` on, relative to the whole cell that is returned: that of the first, split off in double precision, so
+// that the fraction is as good as a float can be however large the buffer is.
+HWY_INLINE int Locate(const SplatRow& row, int u, double start, double step, Places* places) {
   const D4 d;
-  const double base = std::floor(at);
-  const V4 local = hn::MulAdd(hn::Set(d, static_cast<float>(step)), hn::Iota(d, 0.0F), hn::Set(d, static_cast<float>(at - base)));
+  double at = start + u * step;
+  V4 local;
+  double base;
+  if (row.d_depth == 0.0) {
+    at /= row.depth;
+    base = std::floor(std::clamp(at, -kFar, kFar));
+    local = hn::MulAdd(hn::Set(d, static_cast<float>(step / row.depth)), hn::Iota(d, 0.0F), hn::Set(d, static_cast<float>(at - base)));
+  } else {
+    double places_of[kPixels];
+    for (std::size_t i = 0; i < kPixels; ++i) {
+      const int pixel = u + static_cast<int>(i);
+      const double depth = row.depth + pixel * row.d_depth;
+      places_of[i] = depth > 0.0 ? std::clamp((start + pixel * step) / depth, -kFar, kFar) : -kFar;
+    }
+    base = std::floor(places_of[0]);
+    HWY_ALIGN float relative[kPixels];
+    for (std::size_t i = 0; i < kPixels; ++i) relative[i] = static_cast<float>(places_of[i] - base);
+    local = hn::Load(d, relative);
+  }
+  local = hn::Min(hn::Max(local, hn::Set(d, -2.0F * static_cast<float>(kFar))), hn::Set(d, 2.0F * static_cast<float>(kFar)));
   const V4 whole = hn::Floor(local);
   hn::Store(whole, d, places->whole);
   places->fraction = hn::Sub(local, whole);
@@ -90,8 +113,8 @@ HWY_INLINE void SplatFour(const SplatRow& row, int u, const SplatModel& model, i
   const int height = planes.prediction->height();
   Places px;
   Places py;
-  const int x_base = Locate(row.x + u * row.dx, row.dx, &px);
-  const int y_base = Locate(row.y + u * row.dy, row.dy, &py);
+  const int x_base = Locate(row, u, row.x, row.dx, &px);
+  const int y_base = Locate(row, u, row.y, row.dy, &py);
   HWY_ALIGN float x_round[kPixels];
   HWY_ALIGN float y_round[kPixels];
   const V4 half = hn::Set(d, 0.5F);

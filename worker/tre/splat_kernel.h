@@ -4,7 +4,8 @@
 
 namespace trem {
 
-// Where a row of a frame's pixels lies in a scene buffer: pixel u at (x + u * dx, y + u * dy) [cells of the buffer].
+// Where a row of a frame's pixels lies in a scene buffer: pixel u at (x + u * dx, y + u * dy) / (depth + u * d_depth) [cells of the
+// buffer]. Pixels at depths that are not positive lie behind the horizon and are left out.
 struct SplatRow {
   const float* pixels = nullptr;   // NaN: no measurement.
   const float* weights = nullptr;  // Relative inverse variance; null: all 1. A pixel without a positive one is left out.
@@ -14,6 +15,8 @@ struct SplatRow {
   double y = 0.0;
   double dx = 0.0;
   double dy = 0.0;
+  double depth = 1.0;
+  double d_depth = 0.0;
 };
 
 // pixel = gain * scene + offset; residuals [grey levels] beyond `limit` lose weight.

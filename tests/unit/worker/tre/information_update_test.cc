@@ -218,6 +218,7 @@ SceneBuffer BufferAfterFrames(const InformationOptions& options) {
     View view = ViewOf(3.0 * rng.Uniform(), 3.0 * rng.Uniform());
     view.scene_from_sensor.linear(0, 1) = 0.1;
     view.scene_from_sensor.linear(1, 0) = -0.1;
+    if (k % 2 == 1) view.scene_from_sensor.perspective = {2e-3, -1e-3};
     const Roi region{kPlane.x0 + static_cast<int>(k), kPlane.y0, kPlane.x1, kPlane.y1 - static_cast<int>(k)};
     update.Predict(region, &buffer);
     update.AddFrame({&frame, kRoi, 2.0}, view, region, &buffer);

@@ -1,5 +1,5 @@
 // Goal: every sample lands in its cell with the value and weight that the scene update's documentation states, on every SIMD target.
-// Method: a scalar splat in double precision over views with rotation, zoom and reversed axes; outliers, NaN and weighted pixels; bands of
+// Method: a scalar splat in double precision over views with rotation, zoom, perspective and reversed axes; outliers, NaN and weighted pixels; bands of
 // rows that together must give what the whole gives.
 #include "worker/tre/splat_kernel.h"
 
@@ -35,6 +35,7 @@ struct Scene {
 struct Map {
   double x, y, dx, dy;    // Of the first row's first pixel, and along a row.
   double down_x, down_y;  // From row to row.
+  double d_depth = 0.0, down_depth = 0.0;
 };
 
 // No sample lies on the border between two cells, where rounding decides.
@@ -43,6 +44,8 @@ const Map kMaps[] = {
     {20.3137, 2.4219, 2.7031, 1.1007, -1.1013, 2.7039},            // Turned and enlarged.
     {86.4127, 75.2171, -3.0211, 0.3013, -0.2017, -2.9023},         // Reversed.
     {40.7119, -5.6113, 0.0411, 2.9017, 2.8019, 0.3029},            // On its side, and beginning outside.
+    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, 0.021, 0.013},  // Oblique.
+    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, -0.061, 0.002}, // With the horizon across it.
 };
 
 Image<float> Frame() {
@@ -73,6 +76,8 @@ Scene Splatted(const Map& map, const Image<float>* weights, int band_rows) {
       row.y = map.y + v * map.down_y;
       row.dx = map.dx;
       row.dy = map.dy;
+      row.depth = 1.0 + v * map.down_depth;
+      row.d_depth = map.d_depth;
       Splat(row, kModel, band, std::min(band + band_rows, kHeight), scene.planes());
     }
   }
@@ -91,8 +96,10 @@ Sums PlainSplat(const Map& map, const Image<float>* weights) {
   const Image<float> frame = Frame();
   for (int v = 0; v < frame.height(); ++v) {
     for (int u = 0; u < frame.width(); ++u) {
-      const double x = map.x + v * map.down_x + u * map.dx;
-      const double y = map.y + v * map.down_y + u * map.dy;
+      const double depth = 1.0 + u * map.d_depth + v * map.down_depth;
+      if (depth <= 0.0) continue;
+      const double x = (map.x + v * map.down_x + u * map.dx) / depth;
+      const double y = (map.y + v * map.down_y + u * map.dy) / depth;
       const double trust = weights != nullptr ? weights->at(u, v) : 1.0;
       if (std::isnan(frame.at(u, v)) || !(trust > 0.0) || !CubicSupported(scene.prediction, x, y)) continue;
       const int cx = static_cast<int>(x + 0.5);
