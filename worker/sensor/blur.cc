@@ -6,6 +6,12 @@
 #include "worker/sensor/reflect.h"
 
 namespace trem {
+namespace {
+
+// Rows filtered at a time: what their columns share is fetched once.
+constexpr int kBlock = 4;
+
+}  // namespace
 
 void Blur::Apply(const Image<float>& input, const Roi& region, Image<float>* output) {
   TREM_CHECK(output != &input && output->width() == input.width() && output->height() == input.height());
@@ -16,19 +22,24 @@ void Blur::Apply(const Image<float>& input, const Roi& region, Image<float>* out
     return;
   }
   const int radius = psf_.radius();
-  // Columns first: a row of their sums stays in the fastest cache until it is filtered along itself.
+  // Columns first: a few rows of their sums stay in the fastest cache until they are filtered along themselves.
   const int begin = std::max(clipped.x0 - radius, 0);
   const int end = std::min(clipped.x1 + radius, input.width());
-  line_.resize(static_cast<std::size_t>(clipped.width() + 2 * radius + kRowSlack));
-  source_.resize(static_cast<std::size_t>(2 * radius + 1));
-  float* const line = line_.data() + radius - clipped.x0;  // line[x] is column x of the image.
-  for (int y = clipped.y0; y < clipped.y1; ++y) {
-    for (int k = -radius; k <= radius; ++k) {
-      source_[static_cast<std::size_t>(k + radius)] = input.row(ReflectIndex(y + k, input.height())) + begin;
+  const int stride = clipped.width() + 2 * radius + kRowSlack;
+  lines_.resize(static_cast<std::size_t>(stride) * static_cast<std::size_t>(kBlock));
+  source_.resize(static_cast<std::size_t>(2 * radius + kBlock));
+  for (int first = clipped.y0; first < clipped.y1; first += kBlock) {
+    const int count = std::min(kBlock, clipped.y1 - first);
+    for (int j = 0; j < count + 2 * radius; ++j) {
+      source_[static_cast<std::size_t>(j)] = input.row(ReflectIndex(first + j - radius, input.height())) + begin;
     }
-    FilterColumns(source_.data(), psf_.taps.data(), radius, end - begin, line + begin);
-    ReflectRow(line, clipped.x0 - radius, clipped.x1 + radius, input.width());
-    FilterRow(line + clipped.x0, psf_.taps.data(), radius, clipped.width(), output->row(y) + clipped.x0);
+    const int shift = radius - clipped.x0;  // Column x of the image is at x + shift of a line.
+    FilterColumnBlock(source_.data(), psf_.taps.data(), radius, count, end - begin, lines_.data() + begin + shift, stride);
+    for (int i = 0; i < count; ++i) {
+      float* const line = lines_.data() + static_cast<std::ptrdiff_t>(i) * stride;
+      ReflectRow(line + shift, clipped.x0 - radius, clipped.x1 + radius, input.width());
+      FilterRow(line + radius, psf_.taps.data(), radius, clipped.width(), output->row(first + i) + clipped.x0);
+    }
   }
 }
 

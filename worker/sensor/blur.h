@@ -28,8 +28,8 @@ class Blur {
 
  private:
   Psf psf_;
-  std::vector<float> line_;           // One row filtered down the columns, with its reflected borders.
-  std::vector<const float*> source_;  // The rows that feed it.
+  std::vector<float> lines_;          // A few rows filtered down the columns, with their reflected borders.
+  std::vector<const float*> source_;  // The rows that feed them.
   TermFilter terms_;
 };
 

@@ -42,7 +42,8 @@ HWY_INLINE void FilterRowInto(D d, const float* HWY_RESTRICT in, const float* HW
   const std::size_t lanes = hn::Lanes(d);
   const std::size_t end = static_cast<std::size_t>(count);
   std::size_t x = 0;
-  for (; x + 4 * lanes <= end; x += 4 * lanes) {
+  // A last group that is not full is computed whole: its four sums run side by side.
+  for (; x + lanes < end; x += 4 * lanes) {
     const float* p = in + x;
     const auto centre = hn::Set(d, taps[0]);
     auto s0 = hn::Mul(centre, hn::LoadU(d, p));
@@ -60,8 +61,8 @@ HWY_INLINE void FilterRowInto(D d, const float* HWY_RESTRICT in, const float* HW
     }
     emit(x, s0);
     emit(x + lanes, s1);
-    emit(x + 2 * lanes, s2);
-    emit(x + 3 * lanes, s3);
+    if (x + 2 * lanes < end) emit(x + 2 * lanes, s2);
+    if (x + 3 * lanes < end) emit(x + 3 * lanes, s3);
   }
   for (; x < end; x += lanes) {
     auto sum = hn::Mul(hn::Set(d, taps[0]), hn::LoadU(d, in + x));

@@ -1,5 +1,7 @@
 #include "worker/sensor/filter_rows.h"
 
+#include <algorithm>
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "worker/sensor/filter_rows.cc"
 #include <hwy/foreach_target.h>
@@ -9,12 +11,13 @@
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 
-void FilterColumnsTarget(const float* const* rows, const float* taps, int radius, int count, float* out) {
+// Columns [begin, end) of one row.
+HWY_INLINE void FilterColumnsBetween(const float* const* rows, const float* HWY_RESTRICT taps, int radius, std::size_t begin, std::size_t end,
+                                     float* HWY_RESTRICT out) {
   const hn::ScalableTag<float> d;
   const std::size_t lanes = hn::Lanes(d);
-  const std::size_t end = static_cast<std::size_t>(count);
   const float* middle = rows[radius];
-  std::size_t x = 0;
+  std::size_t x = begin;
   for (; x + 4 * lanes <= end; x += 4 * lanes) {
     const auto centre = hn::Set(d, taps[0]);
     auto s0 = hn::Mul(centre, hn::LoadU(d, middle + x));
@@ -46,6 +49,17 @@ void FilterColumnsTarget(const float* const* rows, const float* taps, int radius
   }
 }
 
+void FilterColumnBlockTarget(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out,
+                             std::ptrdiff_t stride) {
+  // What the rows of the block share of such a chunk stays in the first-level cache.
+  constexpr std::size_t kChunk = 256;
+  const std::size_t end = static_cast<std::size_t>(count);
+  for (std::size_t x = 0; x < end; x += kChunk) {
+    const std::size_t chunk_end = std::min(x + kChunk, end);
+    for (int i = 0; i < row_count; ++i) FilterColumnsBetween(rows + i, taps, radius, x, chunk_end, out + i * stride);
+  }
+}
+
 void FilterRowTarget(const float* in, const float* taps, int radius, int count, float* out) {
   const hn::ScalableTag<float> d;
   FilterRowInto(d, in, taps, radius, count,
@@ -58,11 +72,15 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace trem {
 
-HWY_EXPORT(FilterColumnsTarget);
+HWY_EXPORT(FilterColumnBlockTarget);
 HWY_EXPORT(FilterRowTarget);
 
 void FilterColumns(const float* const* rows, const float* taps, int radius, int count, float* out) {
-  HWY_DYNAMIC_DISPATCH(FilterColumnsTarget)(rows, taps, radius, count, out);
+  FilterColumnBlock(rows, taps, radius, 1, count, out, 0);
+}
+
+void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out, std::ptrdiff_t stride) {
+  HWY_DYNAMIC_DISPATCH(FilterColumnBlockTarget)(rows, taps, radius, row_count, count, out, stride);
 }
 
 void FilterRow(const float* in, const float* taps, int radius, int count, float* out) {

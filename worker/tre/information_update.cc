@@ -30,6 +30,9 @@ constexpr float kCurvatureMin = 1e-6F;
 // Rows that are splatted, judged or predicted at a time.
 constexpr int kBandRows = 32;
 
+// Rows of which the columns are filtered at a time.
+constexpr int kSeenBlock = 4;
+
 // Iterations that one sweep over a tile carries out.
 constexpr std::size_t kStepsPerSweep = 4;
 // Tiles keep a sweep's window of rows in the second-level cache. Up to this many columns a region is one tile.
@@ -152,19 +155,23 @@ void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* bu
     const std::vector<float> nothing(static_cast<std::size_t>(weight.width()), 0.0F);
     const int begin = std::max(band.x0 - ratio, 0);
     const int end = std::min(band.x1 + ratio, weight.width());
-    const std::size_t length = static_cast<std::size_t>(band.width() + 2 * ratio + kRowSlack);
-    std::vector<float> tents(length, 0.0F);
-    std::vector<float> near(length, 0.0F);
-    const int shift = ratio - band.x0;  // Cell x of the buffer is at x + shift of the lines.
-    std::vector<const float*> rows(static_cast<std::size_t>(2 * ratio - 1));
-    for (int y = band.y0; y < band.y1; ++y) {
-      for (int k = 1 - ratio; k < ratio; ++k) {
-        const bool inside = y + k >= 0 && y + k < weight.height();
-        rows[static_cast<std::size_t>(k + ratio - 1)] = (inside ? weight.row(y + k) : nothing.data()) + begin;
+    const int stride = band.width() + 2 * ratio + kRowSlack;
+    std::vector<float> tents(static_cast<std::size_t>(stride) * kSeenBlock, 0.0F);
+    std::vector<float> near = tents;
+    const int shift = ratio - band.x0;  // Column x of the buffer is at x + shift of a line.
+    std::vector<const float*> rows(static_cast<std::size_t>(2 * ratio - 2 + kSeenBlock));
+    for (int first = band.y0; first < band.y1; first += kSeenBlock) {
+      const int count = std::min(kSeenBlock, band.y1 - first);
+      for (int j = 0; j < count + 2 * ratio - 2; ++j) {
+        const int y = first + j - ratio + 1;
+        rows[static_cast<std::size_t>(j)] = (y >= 0 && y < weight.height() ? weight.row(y) : nothing.data()) + begin;
       }
-      FilterColumns(rows.data(), tent_taps.data(), ratio - 1, end - begin, tents.data() + begin + shift);
-      FilterColumns(rows.data() + (ratio - 1 - ratio / 2), near_taps.data(), ratio / 2, end - begin, near.data() + begin + shift);
-      SeenRow(tents.data() + ratio, near.data() + ratio, ratio, kSeenLimits, band.width(), buffer->seen.row(y) + band.x0);
+      FilterColumnBlock(rows.data(), tent_taps.data(), ratio - 1, count, end - begin, tents.data() + begin + shift, stride);
+      FilterColumnBlock(rows.data() + (ratio - 1 - ratio / 2), near_taps.data(), ratio / 2, count, end - begin, near.data() + begin + shift, stride);
+      for (int i = 0; i < count; ++i) {
+        const std::ptrdiff_t line = static_cast<std::ptrdiff_t>(i) * stride + ratio;
+        SeenRow(tents.data() + line, near.data() + line, ratio, kSeenLimits, band.width(), buffer->seen.row(first + i) + band.x0);
+      }
     }
   });
   AddNegativePart(inner, buffer);

@@ -1,6 +1,7 @@
 #include "worker/tre/update_sweep.h"
 
 #include <algorithm>
+#include <memory>
 
 #include "mosaic/base/check.h"
 #include "worker/sensor/filter_rows.h"
@@ -11,6 +12,8 @@ namespace {
 
 // Lines begin at multiples of this many floats of the image's columns: whole cache lines.
 constexpr int kAlign = 16;
+// Rows that a filter makes at a time.
+constexpr int kBlock = 4;
 
 Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
 
@@ -21,8 +24,12 @@ int AlignedDown(int x) { return x - (((x % kAlign) + kAlign) % kAlign); }
 void UpdateSweep::Ring::Fit(int depth, int stride) {
   depth_ = depth;
   stride_ = stride;
-  const std::size_t floats = static_cast<std::size_t>(depth) * static_cast<std::size_t>(stride);
+  std::size_t bytes = static_cast<std::size_t>(depth) * static_cast<std::size_t>(stride) * sizeof(float);
+  const std::size_t floats = bytes / sizeof(float) + kAlign;
   if (data_.size() < floats) data_.resize(floats);
+  void* begin = data_.data();
+  std::size_t space = data_.size() * sizeof(float);
+  begin_ = static_cast<float*>(std::align(kAlign * sizeof(float), bytes, begin, space));
 }
 
 void UpdateSweep::Prepare(const Roi& tile, std::span<const float> momenta) {
@@ -45,14 +52,23 @@ void UpdateSweep::Prepare(const Roi& tile, std::span<const float> momenta) {
   }
   const Roi& widest = steps_[0].support;
   origin_ = AlignedDown(widest.x0 - radius - 1);
-  const int stride = AlignedDown(widest.x1 + radius + 1 - origin_ + kRowSlack + kAlign);
+  stride_ = AlignedDown(widest.x1 + radius + 1 - origin_ + kRowSlack + kAlign);
+  // How far each stage may be ahead of the oldest row that is still read, when every stage works in blocks.
   for (std::size_t k = 0; k < count_; ++k) {
-    steps_[k].extrapolated.Fit(reach + 2, stride);
-    steps_[k].residual.Fit(2 * radius + 1, stride);
-    steps_[k].result.Fit(reach + 2, stride);
+    steps_[k].extrapolated.Fit(reach + 2 * kBlock + 1, stride_);
+    steps_[k].residual.Fit(2 * radius + 2 * kBlock, stride_);
+    steps_[k].result.Fit(reach + 3 * kBlock + 2, stride_);
   }
-  if (line_.size() < static_cast<std::size_t>(stride)) line_.resize(static_cast<std::size_t>(stride));
-  rows_.resize(static_cast<std::size_t>(2 * radius + 1));
+  block_.Fit(kBlock, stride_);
+  rows_.resize(static_cast<std::size_t>(2 * radius + kBlock));
+}
+
+void UpdateSweep::FilterBlock(int row_count, int x0, int x1) {
+  const int radius = psf_.radius();
+  const int begin = AlignedDown(std::max(x0 - radius, 0));
+  const int end = std::min(x1 + radius, width());
+  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, row_count, AlignedDown(end - begin + kAlign - 1), Line(block_.row(0), begin), stride_);
+  for (int i = 0; i < row_count; ++i) ReflectRow(Line(block_.row(i), 0), x0 - radius, x1 + radius, width());
 }
 
 void UpdateSweep::Run(const SweepPlanes& planes, const Roi& region, const Roi& tile, std::span<const float> momenta,
@@ -65,11 +81,12 @@ void UpdateSweep::Run(const SweepPlanes& planes, const Roi& region, const Roi& t
   region_ = region;
   tile_ = tile;
   Prepare(tile, momenta);
-  for (int y = tile.y0; y < tile.y1; ++y) {
+  for (int y = tile.y0; y < tile.y1; y += kBlock) {
+    const int end = std::min(y + kBlock, tile.y1);
     if (planes_.prediction != nullptr) {
-      MakePrediction(y);
+      MakePrediction(y, end);
     } else {
-      MakeResult(count_ - 1, y);
+      MakeResult(count_ - 1, end - 1);
     }
   }
 }
@@ -109,18 +126,21 @@ void UpdateSweep::MakeResidual(std::size_t k, int last) {
   Step& step = steps_[k];
   const int radius = psf_.radius();
   const Roi& context = step.context;
-  for (; step.next_residual <= last; ++step.next_residual) {
-    const int y = step.next_residual;
-    MakeExtrapolated(k, std::min(y + radius, height() - 1));
+  while (step.next_residual <= last) {
+    const int first = step.next_residual;
+    const int count = std::min(kBlock, context.y1 - first);
+    step.next_residual += count;
+    MakeExtrapolated(k, std::min(first + count - 1 + radius, height() - 1));
     const int begin = AlignedDown(std::max(context.x0 - radius, 0));
-    const int end = std::min(context.x1 + radius, width());
-    for (int j = -radius; j <= radius; ++j) {
-      rows_[static_cast<std::size_t>(j + radius)] = Line(step.extrapolated.row(ReflectIndex(y + j, height())), begin);
+    for (int j = 0; j < count + 2 * radius; ++j) {
+      rows_[static_cast<std::size_t>(j)] = Line(step.extrapolated.row(ReflectIndex(first + j - radius, height())), begin);
     }
-    FilterColumns(rows_.data(), psf_.taps.data(), radius, AlignedDown(end - begin + kAlign - 1), Line(line_.data(), begin));
-    ReflectRow(Line(line_.data(), 0), context.x0 - radius, context.x1 + radius, width());
-    ResidualRow(Line(line_.data(), context.x0), psf_.taps.data(), radius, planes_.weight->row(y) + context.x0,
-                planes_.weighted->row(y) + context.x0, context.width(), Line(step.residual.row(y), context.x0));
+    FilterBlock(count, context.x0, context.x1);
+    for (int i = 0; i < count; ++i) {
+      const int y = first + i;
+      ResidualRow(Line(block_.row(i), context.x0), psf_.taps.data(), radius, planes_.weight->row(y) + context.x0,
+                  planes_.weighted->row(y) + context.x0, context.width(), Line(step.residual.row(y), context.x0));
+    }
   }
 }
 
@@ -128,28 +148,31 @@ void UpdateSweep::MakeResult(std::size_t k, int last) {
   Step& step = steps_[k];
   const int radius = psf_.radius();
   const Roi& out = step.out;
-  for (; step.next_result <= last; ++step.next_result) {
-    const int y = step.next_result;
-    MakeResidual(k, std::min(y + radius, height() - 1));
-    if (radius == 0) MakeExtrapolated(k, std::min(y + 1, height() - 1));
+  while (step.next_result <= last) {
+    const int first = step.next_result;
+    const int count = std::min(kBlock, out.y1 - first);
+    step.next_result += count;
+    MakeResidual(k, std::min(first + count - 1 + radius, height() - 1));
+    if (radius == 0) MakeExtrapolated(k, std::min(first + count, step.support.y1 - 1));
     const int begin = AlignedDown(std::max(out.x0 - radius, 0));
-    const int end = std::min(out.x1 + radius, width());
-    for (int j = -radius; j <= radius; ++j) {
-      rows_[static_cast<std::size_t>(j + radius)] = Line(step.residual.row(ReflectIndex(y + j, height())), begin);
+    for (int j = 0; j < count + 2 * radius; ++j) {
+      rows_[static_cast<std::size_t>(j)] = Line(step.residual.row(ReflectIndex(first + j - radius, height())), begin);
     }
-    FilterColumns(rows_.data(), psf_.taps.data(), radius, AlignedDown(end - begin + kAlign - 1), Line(line_.data(), begin));
-    ReflectRow(Line(line_.data(), 0), out.x0 - radius, out.x1 + radius, width());
-    StepRow row;
-    row.residual = Line(line_.data(), out.x0);
-    row.start = Line(step.extrapolated.row(y), out.x0);
-    row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), out.x0) : row.start;
-    row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), out.x0) : row.start;
-    row.majoriser = planes_.majoriser->row(y) + out.x0;
-    row.left_border = out.x0 == region_.x0;
-    row.right_border = out.x1 == region_.x1;
-    float* line = step.result.row(y);
-    StepInto(row, psf_.taps.data(), radius, weights_, out.width(), Line(line, out.x0));
-    WriteResult(k, y, line);
+    FilterBlock(count, out.x0, out.x1);
+    for (int i = 0; i < count; ++i) {
+      const int y = first + i;
+      StepRow row;
+      row.residual = Line(block_.row(i), out.x0);
+      row.start = Line(step.extrapolated.row(y), out.x0);
+      row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), out.x0) : row.start;
+      row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), out.x0) : row.start;
+      row.majoriser = planes_.majoriser->row(y) + out.x0;
+      row.left_border = out.x0 == region_.x0;
+      row.right_border = out.x1 == region_.x1;
+      float* line = step.result.row(y);
+      StepInto(row, psf_.taps.data(), radius, weights_, out.width(), Line(line, out.x0));
+      WriteResult(k, y, line);
+    }
   }
 }
 
@@ -167,25 +190,26 @@ void UpdateSweep::WriteResult(std::size_t k, int y, const float* line) {
   }
 }
 
-void UpdateSweep::MakePrediction(int y) {
+void UpdateSweep::MakePrediction(int first, int last_end) {
   Step& last = steps_[count_ - 1];
   const int radius = psf_.radius();
   const int begin = std::max(tile_.x0 - radius, 0);
   const int end = std::min(tile_.x1 + radius, width());
-  const int ready = std::min(y + radius, region_.y1 - 1);
-  while (last.next_result <= ready) {
-    const int row = last.next_result;
-    MakeResult(count_ - 1, row);
-    FillBeside(row, begin, last.out.x0, last.out.x1, end, last.result.row(row));
+  int row = last.next_result;
+  MakeResult(count_ - 1, std::min(last_end - 1 + radius, last.out.y1 - 1));
+  for (; row < last.next_result; ++row) FillBeside(row, begin, last.out.x0, last.out.x1, end, last.result.row(row));
+  const int count = last_end - first;
+  for (int j = 0; j < count + 2 * radius; ++j) {
+    const int y = ReflectIndex(first + j - radius, height());
+    const bool moved = y >= region_.y0 && y < region_.y1;
+    rows_[static_cast<std::size_t>(j)] = moved ? Line(last.result.row(y), begin) : planes_.scene->row(y) + begin;
   }
-  for (int j = -radius; j <= radius; ++j) {
-    const int row = ReflectIndex(y + j, height());
-    const bool moved = row >= region_.y0 && row < region_.y1;
-    rows_[static_cast<std::size_t>(j + radius)] = moved ? Line(last.result.row(row), begin) : planes_.scene->row(row) + begin;
+  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, count, end - begin, Line(block_.row(0), begin), stride_);
+  for (int i = 0; i < count; ++i) {
+    float* line = block_.row(i);
+    ReflectRow(Line(line, 0), tile_.x0 - radius, tile_.x1 + radius, width());
+    FilterRow(Line(line, tile_.x0), psf_.taps.data(), radius, tile_.width(), planes_.prediction->row(first + i) + tile_.x0);
   }
-  FilterColumns(rows_.data(), psf_.taps.data(), radius, end - begin, Line(line_.data(), begin));
-  ReflectRow(Line(line_.data(), 0), tile_.x0 - radius, tile_.x1 + radius, width());
-  FilterRow(Line(line_.data(), tile_.x0), psf_.taps.data(), radius, tile_.width(), planes_.prediction->row(y) + tile_.x0);
 }
 
 }  // namespace trem

@@ -41,14 +41,15 @@ class UpdateSweep {
   void Run(const SweepPlanes& planes, const Roi& region, const Roi& tile, std::span<const float> momenta, const StepWeights& weights);
 
  private:
-  // The last rows of one stage; row y stands where row y - depth stood.
+  // The last rows of one stage; row y stands where row y - depth stood. Rows begin at whole cache lines.
   class Ring {
    public:
     void Fit(int depth, int stride);
-    float* row(int y) { return data_.data() + static_cast<std::size_t>(y % depth_) * static_cast<std::size_t>(stride_); }
+    float* row(int y) { return begin_ + static_cast<std::size_t>(y % depth_) * static_cast<std::size_t>(stride_); }
 
    private:
     std::vector<float> data_;
+    float* begin_ = nullptr;  // The first whole cache line of data_.
     int depth_ = 1;
     int stride_ = 0;
   };
@@ -68,10 +69,14 @@ class UpdateSweep {
   };
 
   void Prepare(const Roi& tile, std::span<const float> momenta);
-  void MakeExtrapolated(std::size_t k, int y);
-  void MakeResidual(std::size_t k, int y);
-  void MakeResult(std::size_t k, int y);
-  void MakePrediction(int y);
+  // Each makes its stage of step k ready up to row `last` at least: a few rows at a time, so that the rows that a filter reads are
+  // fetched from the second-level cache for several rows of its output.
+  void MakeExtrapolated(std::size_t k, int last);
+  void MakeResidual(std::size_t k, int last);
+  void MakeResult(std::size_t k, int last);
+  void MakePrediction(int begin, int end);
+  // block_ row i = rows_[i ..] filtered down the columns that out of [x0, x1) need, reflected at the image's border.
+  void FilterBlock(int row_count, int x0, int x1);
   void WriteResult(std::size_t k, int y, const float* line);
   void FillBeside(int y, int begin, int inner_begin, int inner_end, int end, float* line) const;
 
@@ -86,9 +91,10 @@ class UpdateSweep {
   Roi region_;
   Roi tile_;
   int origin_ = 0;
+  int stride_ = 0;
   std::size_t count_ = 0;
   std::vector<Step> steps_;
-  std::vector<float> line_;
+  Ring block_;
   std::vector<const float*> rows_;
 };
 
