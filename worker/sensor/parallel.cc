@@ -1,7 +1,10 @@
 #include "worker/sensor/parallel.h"
 
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
+
+#include <algorithm>
 
 namespace trem {
 
@@ -10,7 +13,7 @@ void ForEachIndex(int threads, int count, const std::function<void(int index, in
     for (int index = 0; index < count; ++index) body(index, 0);
     return;
   }
-  tbb::task_arena arena(threads);
+  tbb::task_arena arena(std::min(threads, tbb::info::default_concurrency()));
   arena.execute([&] {
     tbb::parallel_for(
         tbb::blocked_range<int>(0, count, 1),

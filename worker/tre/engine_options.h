@@ -20,6 +20,7 @@ struct EngineOptions {
   double forgetting = 0.0;        // Per frame, (0, 1]. 0: automatic.
   double noise_sigma = 2.0;       // Internal grey levels; first guess unless `noise_known`.
   bool noise_known = false;       // True: noise_sigma is used as given; false: refined from the residuals.
+  int threads = 1;                // For one ROI. Workers are one process a core and keep 1; the result does not depend on it.
   std::uint64_t seed = 0;         // Names the random streams of HINTS.
 };
 

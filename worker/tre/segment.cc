@@ -32,6 +32,7 @@ InformationOptions UpdateOptions(const EngineOptions& options) {
   InformationOptions update;
   update.prior.kind = options.structure;
   update.forgetting = AutoForgetting(options);
+  update.threads = options.threads;
   return update;
 }
 

@@ -13,7 +13,7 @@ namespace {
 // Lines begin at multiples of this many floats of the image's columns: whole cache lines.
 constexpr int kAlign = 16;
 // Rows that a filter makes at a time.
-constexpr int kBlock = 4;
+constexpr int kBlock = 16;
 
 Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
 
