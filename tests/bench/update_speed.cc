@@ -117,11 +117,16 @@ void Register(const std::string& name, const Size& size, int threads, Stage stag
 
 void RegisterAll() {
   for (const Size& size : kSizes) {
-    Register("splat", size, 1, [](Fixture* f) { f->Splat(); }, [](const Fixture& f) { return f.SplatWork(); });
-    Register("seen", size, 1, [](Fixture* f) { f->Seen(); }, [](const Fixture& f) { return f.SeenWork(); });
-    Register("predict", size, 1, [](Fixture* f) { f->Predict(); }, [](const Fixture& f) { return f.PredictWork(); });
-    Register("iterate_K2", size, 1, [](Fixture* f) { f->Iterate(2); }, [](const Fixture& f) { return f.IterateWork(2); });
-    Register("iterate_K4", size, 1, [](Fixture* f) { f->Iterate(4); }, [](const Fixture& f) { return f.IterateWork(4); });
+    Register(
+        "splat", size, 1, [](Fixture* f) { f->Splat(); }, [](const Fixture& f) { return f.SplatWork(); });
+    Register(
+        "seen", size, 1, [](Fixture* f) { f->Seen(); }, [](const Fixture& f) { return f.SeenWork(); });
+    Register(
+        "predict", size, 1, [](Fixture* f) { f->Predict(); }, [](const Fixture& f) { return f.PredictWork(); });
+    Register(
+        "iterate_K2", size, 1, [](Fixture* f) { f->Iterate(2); }, [](const Fixture& f) { return f.IterateWork(2); });
+    Register(
+        "iterate_K4", size, 1, [](Fixture* f) { f->Iterate(4); }, [](const Fixture& f) { return f.IterateWork(4); });
     for (const int threads : {1, 2}) {
       const Stage update = [](Fixture* f) {
         f->Splat();

@@ -12,8 +12,8 @@ HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 
 // Columns [begin, end) of one row.
-HWY_INLINE void FilterColumnsBetween(const float* const* rows, const float* HWY_RESTRICT taps, int radius, std::size_t begin, std::size_t end,
-                                     float* HWY_RESTRICT out) {
+HWY_INLINE void FilterColumnsBetween(const float* const* rows, const float* HWY_RESTRICT taps, int radius, std::size_t begin,
+                                     std::size_t end, float* HWY_RESTRICT out) {
   const hn::ScalableTag<float> d;
   const std::size_t lanes = hn::Lanes(d);
   const float* middle = rows[radius];
@@ -79,7 +79,8 @@ void FilterColumns(const float* const* rows, const float* taps, int radius, int 
   FilterColumnBlock(rows, taps, radius, 1, count, out, 0);
 }
 
-void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out, std::ptrdiff_t stride) {
+void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out,
+                       std::ptrdiff_t stride) {
   HWY_DYNAMIC_DISPATCH(FilterColumnBlockTarget)(rows, taps, radius, row_count, count, out, stride);
 }
 

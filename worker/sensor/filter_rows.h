@@ -20,7 +20,8 @@ inline constexpr int kRowSlack = 64;
 void FilterColumns(const float* const* rows, const float* taps, int radius, int count, float* out);
 
 // The same for `row_count` rows at once, out + i * stride from rows[i .. i + 2 * radius]: fewer passes over the rows than one by one.
-void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out, std::ptrdiff_t stride);
+void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out,
+                       std::ptrdiff_t stride);
 
 // Along a row: out[x] from in[x - radius .. x + radius], for x in [0, count). `in` may be read up to in[count + radius + kRowSlack - 1];
 // nothing is written outside [0, count). `out` does not overlap `in`.

@@ -168,7 +168,8 @@ void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* bu
         rows[static_cast<std::size_t>(j)] = (y >= 0 && y < weight.height() ? weight.row(y) : nothing.data()) + begin;
       }
       FilterColumnBlock(rows.data(), tent_taps.data(), ratio - 1, count, end - begin, tents.data() + begin + shift, stride);
-      FilterColumnBlock(rows.data() + (ratio - 1 - ratio / 2), near_taps.data(), ratio / 2, count, end - begin, near.data() + begin + shift, stride);
+      FilterColumnBlock(rows.data() + (ratio - 1 - ratio / 2), near_taps.data(), ratio / 2, count, end - begin, near.data() + begin + shift,
+                        stride);
       for (int i = 0; i < count; ++i) {
         const std::ptrdiff_t line = static_cast<std::ptrdiff_t>(i) * stride + ratio;
         SeenRow(tents.data() + line, near.data() + line, ratio, kSeenLimits, band.width(), buffer->seen.row(first + i) + band.x0);

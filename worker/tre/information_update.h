@@ -13,13 +13,13 @@ namespace trem {
 
 struct InformationOptions {
   StructurePrior prior;
-  double forgetting = 1.0;     // Factor on W and Z per frame, (0, 1].
-  double huber_sigmas = 3.0;   // Samples further than this from the prediction lose weight.
+  double forgetting = 1.0;    // Factor on W and Z per frame, (0, 1].
+  double huber_sigmas = 3.0;  // Samples further than this from the prediction lose weight.
   double momentum_max = 0.9;
   // False: every stage of an iteration passes over the whole region, as is always done for priors other than HUBER_TV and MEMBRANE.
   // Slower, for comparison.
   bool fused = true;
-  int threads = 1;             // The result does not depend on it.
+  int threads = 1;  // The result does not depend on it.
 };
 
 // The information-form update: per cell accumulate W (weights) and Z (weighted, residual-corrected samples), and improve the scene by a
@@ -59,7 +59,7 @@ class InformationUpdate {
   InformationOptions options_;
   int steps_ = 0;
   std::vector<UpdateSweep> sweeps_;  // One per thread.
-  Image<float> next_scene_;      // Where the tiles of a large region are written.
+  Image<float> next_scene_;          // Where the tiles of a large region are written.
   Image<float> next_previous_;
   Image<float> extrapolated_;
   Image<float> residual_;

@@ -34,9 +34,9 @@ struct SplatPlanes {
   Image<float>* weighted = nullptr;
 };
 
-// Adds the samples that fall nearest to cells of rows [row_begin, row_end) to these cells; see InformationUpdate::AddFrame. The prediction is
-// sampled by Keys' bicubic at the pixel's place, so the sample is carried to the cell's centre along the model's own slope. Four pixels at a
-// time on every processor: one load per row of the 4 x 4 support is cheaper than any gather.
+// Adds the samples that fall nearest to cells of rows [row_begin, row_end) to these cells; see InformationUpdate::AddFrame. The prediction
+// is sampled by Keys' bicubic at the pixel's place, so the sample is carried to the cell's centre along the model's own slope. Four pixels
+// at a time on every processor: one load per row of the 4 x 4 support is cheaper than any gather.
 void Splat(const SplatRow& row, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes);
 
 }  // namespace trem

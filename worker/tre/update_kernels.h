@@ -18,9 +18,9 @@ struct StepRow {
   const float* start = nullptr;     // Line: the extrapolated scene, from start[-1] to start[count].
   const float* above = nullptr;     // Its rows above and below; `start` itself at the region's border.
   const float* below = nullptr;
-  const float* majoriser = nullptr; // Row of an image.
-  bool left_border = false;         // The first cell is the region's first: it has no difference to its left.
-  bool right_border = false;        // The last cell is the region's last.
+  const float* majoriser = nullptr;  // Row of an image.
+  bool left_border = false;          // The first cell is the region's first: it has no difference to its left.
+  bool right_border = false;         // The last cell is the region's last.
 };
 
 struct StepWeights {
@@ -29,7 +29,8 @@ struct StepWeights {
   float damping = 0.0F;  // Added to the majoriser.
 };
 
-// out[x] = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping); `out` is a line.
+// out[x] = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping); `out` is a
+// line.
 void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out);
 
 // row[x] *= factor; a row of an image.
@@ -41,8 +42,8 @@ struct SeenLimits {
   float near_part_min = 0.0F;  // ... count as not seen when less than this part of it lies near.
 };
 
-// One row of the count of frames: seen[x] = sum_i (ratio - |i|) * tents[x + i] / ratio^2 over |i| < ratio, and 0 where that is many frames but
-// sum of near[x + i] over |i| <= ratio / 2 is too small a part of it. `tents` and `near` are lines with `ratio` cells to either side.
+// One row of the count of frames: seen[x] = sum_i (ratio - |i|) * tents[x + i] / ratio^2 over |i| < ratio, and 0 where that is many frames
+// but sum of near[x + i] over |i| <= ratio / 2 is too small a part of it. `tents` and `near` are lines with `ratio` cells to either side.
 void SeenRow(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen);
 
 }  // namespace trem

@@ -67,7 +67,8 @@ void UpdateSweep::FilterBlock(int row_count, int x0, int x1) {
   const int radius = psf_.radius();
   const int begin = AlignedDown(std::max(x0 - radius, 0));
   const int end = std::min(x1 + radius, width());
-  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, row_count, AlignedDown(end - begin + kAlign - 1), Line(block_.row(0), begin), stride_);
+  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, row_count, AlignedDown(end - begin + kAlign - 1), Line(block_.row(0), begin),
+                    stride_);
   for (int i = 0; i < row_count; ++i) ReflectRow(Line(block_.row(i), 0), x0 - radius, x1 + radius, width());
 }
 

@@ -36,7 +36,8 @@ TEST(FilterRows, ColumnsAreTheFusedSumInTheStatedOrderOnEveryTarget) {
           for (int k = 1; k <= radius; ++k) {
             sum = std::fma(taps[static_cast<std::size_t>(k)], image.at(x, radius - k) + image.at(x, radius + k), sum);
           }
-          ASSERT_EQ(out[static_cast<std::size_t>(x)], sum) << hwy::TargetName(target) << " radius " << radius << " count " << count << " x " << x;
+          ASSERT_EQ(out[static_cast<std::size_t>(x)], sum)
+              << hwy::TargetName(target) << " radius " << radius << " count " << count << " x " << x;
         }
         ASSERT_EQ(out.back(), kGuard);
       }
@@ -57,7 +58,8 @@ TEST(FilterRows, RowsAreTheFusedSumInTheStatedOrderOnEveryTarget) {
         for (int x = 0; x < count; ++x) {
           float sum = taps[0] * in[x];
           for (int k = 1; k <= radius; ++k) sum = std::fma(taps[static_cast<std::size_t>(k)], in[x - k] + in[x + k], sum);
-          ASSERT_EQ(out[static_cast<std::size_t>(x)], sum) << hwy::TargetName(target) << " radius " << radius << " count " << count << " x " << x;
+          ASSERT_EQ(out[static_cast<std::size_t>(x)], sum)
+              << hwy::TargetName(target) << " radius " << radius << " count " << count << " x " << x;
         }
         ASSERT_EQ(out.back(), kGuard);
       }

@@ -13,6 +13,7 @@
 #include <string>
 
 #include "mosaic/base/rng.h"
+#include "tests/support/simd_targets.h"
 #include "tests/unit/worker/sensor/sample_psfs.h"
 
 namespace trem {
@@ -228,19 +229,34 @@ SceneBuffer BufferAfterFrames(const InformationOptions& options) {
   return buffer;
 }
 
+void ExpectSameBytes(const SceneBuffer& a, const SceneBuffer& b, const std::string& what) {
+  for (const auto plane : {&SceneBuffer::scene, &SceneBuffer::previous, &SceneBuffer::weight, &SceneBuffer::weighted,
+                           &SceneBuffer::prediction, &SceneBuffer::majoriser, &SceneBuffer::seen}) {
+    const auto in_a = (a.*plane).pixels();
+    const auto in_b = (b.*plane).pixels();
+    EXPECT_TRUE(std::equal(in_a.begin(), in_a.end(), in_b.begin(), in_b.end())) << what;
+  }
+}
+
 TEST(InformationUpdate, ThreadsDoNotChangeAByte) {
   InformationOptions options;
   options.forgetting = 0.98;
   const SceneBuffer one = BufferAfterFrames(options);
   for (const int threads : {2, 4}) {
     options.threads = threads;
-    const SceneBuffer several = BufferAfterFrames(options);
-    for (const auto plane : {&SceneBuffer::scene, &SceneBuffer::previous, &SceneBuffer::weight, &SceneBuffer::weighted,
-                             &SceneBuffer::prediction, &SceneBuffer::majoriser, &SceneBuffer::seen}) {
-      const auto a = (one.*plane).pixels();
-      const auto b = (several.*plane).pixels();
-      EXPECT_TRUE(std::equal(a.begin(), a.end(), b.begin(), b.end())) << threads << " threads";
-    }
+    ExpectSameBytes(one, BufferAfterFrames(options), std::to_string(threads) + " threads");
+  }
+}
+
+TEST(InformationUpdate, EveryTargetWithFusedMultiplyAddGivesTheSameBytes) {
+  const std::vector<std::int64_t> targets = testing::FusedTargets();
+  if (targets.size() < 2) GTEST_SKIP() << "needs a processor with AVX2 and AVX-512";
+  InformationOptions options;
+  options.forgetting = 0.98;
+  const SceneBuffer best = BufferAfterFrames(options);
+  for (const std::int64_t target : targets) {
+    const testing::WithTarget chosen(target);
+    ExpectSameBytes(best, BufferAfterFrames(options), hwy::TargetName(target));
   }
 }
 

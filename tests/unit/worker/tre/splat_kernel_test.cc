@@ -1,6 +1,6 @@
 // Goal: every sample lands in its cell with the value and weight that the scene update's documentation states, on every SIMD target.
-// Method: a scalar splat in double precision over views with rotation, zoom, perspective and reversed axes; outliers, NaN and weighted pixels; bands of
-// rows that together must give what the whole gives.
+// Method: a scalar splat in double precision over views with rotation, zoom, perspective and reversed axes; outliers, NaN and weighted
+// pixels; bands of rows that together must give what the whole gives.
 #include "worker/tre/splat_kernel.h"
 
 #include <gtest/gtest.h>
@@ -40,12 +40,12 @@ struct Map {
 
 // No sample lies on the border between two cells, where rounding decides.
 const Map kMaps[] = {
-    {3.2071, 4.1033, 3.0, 0.0, 0.0, 3.0},                          // Upright, as at a segment's beginning.
-    {20.3137, 2.4219, 2.7031, 1.1007, -1.1013, 2.7039},            // Turned and enlarged.
-    {86.4127, 75.2171, -3.0211, 0.3013, -0.2017, -2.9023},         // Reversed.
-    {40.7119, -5.6113, 0.0411, 2.9017, 2.8019, 0.3029},            // On its side, and beginning outside.
-    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, 0.021, 0.013},  // Oblique.
-    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, -0.061, 0.002}, // With the horizon across it.
+    {3.2071, 4.1033, 3.0, 0.0, 0.0, 3.0},                              // Upright, as at a segment's beginning.
+    {20.3137, 2.4219, 2.7031, 1.1007, -1.1013, 2.7039},                // Turned and enlarged.
+    {86.4127, 75.2171, -3.0211, 0.3013, -0.2017, -2.9023},             // Reversed.
+    {40.7119, -5.6113, 0.0411, 2.9017, 2.8019, 0.3029},                // On its side, and beginning outside.
+    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, 0.021, 0.013},   // Oblique.
+    {5.2171, 6.4311, 3.9013, 0.6017, -0.4011, 3.7029, -0.061, 0.002},  // With the horizon across it.
 };
 
 Image<float> Frame() {
@@ -109,7 +109,8 @@ Sums PlainSplat(const Map& map, const Image<float>* weights) {
       const double size = std::abs(static_cast<double>(kModel.gain) * (value - predicted));
       const bool outlier = scene.seen.at(cx, cy) >= 1.5F && size > static_cast<double>(kModel.limit);
       sums.outliers += outlier ? 1 : 0;
-      const double weight = trust * (outlier ? static_cast<double>(kModel.limit) / size : 1.0) * std::pow(static_cast<double>(kModel.gain), 2);
+      const double weight =
+          trust * (outlier ? static_cast<double>(kModel.limit) / size : 1.0) * std::pow(static_cast<double>(kModel.gain), 2);
       sums.weight.at(cx, cy) += weight;
       sums.weighted.at(cx, cy) += weight * (value - predicted + static_cast<double>(scene.prediction.at(cx, cy)));
     }

@@ -24,10 +24,10 @@ struct Case {
 
 const Case kCases[] = {
     {90, 70, {0, 0, 90, 70}},
-    {90, 70, {13, 9, 71, 60}},     // Within the image.
-    {90, 70, {0, 30, 24, 70}},     // In a corner.
-    {47, 64, {44, 3, 47, 64}},     // Narrower than the PSF's radius.
-    {5, 4, {0, 0, 5, 4}},          // The image is smaller than the PSF: reflected more than once.
+    {90, 70, {13, 9, 71, 60}},          // Within the image.
+    {90, 70, {0, 30, 24, 70}},          // In a corner.
+    {47, 64, {44, 3, 47, 64}},          // Narrower than the PSF's radius.
+    {5, 4, {0, 0, 5, 4}},               // The image is smaller than the PSF: reflected more than once.
     {40, 33, {1, 2, 39, 30}, 0.05, 1},  // The PSF is one cell.
     {80, 61, {7, 0, 80, 50}, 1.5, 3},   // A wide one.
 };
@@ -62,8 +62,8 @@ State Swept(const Case& c, std::size_t steps, int tile_width, int tile_height) {
   State state(c);
   State next = state;
   UpdateSweep sweep(Psf(c));
-  SweepPlanes planes{&state.scene, &state.previous, &state.weight, &state.weighted, &state.majoriser, &next.scene, &next.previous,
-                     &next.prediction};
+  SweepPlanes planes{&state.scene,     &state.previous, &state.weight,  &state.weighted,
+                     &state.majoriser, &next.scene,     &next.previous, &next.prediction};
   for (int y = c.region.y0; y < c.region.y1; y += tile_height) {
     for (int x = c.region.x0; x < c.region.x1; x += tile_width) {
       const Roi tile = Intersect(c.region, {x, y, x + tile_width, y + tile_height});
@@ -113,7 +113,8 @@ void PlainStep(const Case& c, const State& given, double momentum, Image<double>
   }
   Image<double> residual = Blurred(start, Psf(c));
   for (std::size_t i = 0; i < residual.pixels().size(); ++i) {
-    residual.pixels()[i] = static_cast<double>(given.weight.pixels()[i]) * residual.pixels()[i] - static_cast<double>(given.weighted.pixels()[i]);
+    residual.pixels()[i] =
+        static_cast<double>(given.weight.pixels()[i]) * residual.pixels()[i] - static_cast<double>(given.weighted.pixels()[i]);
   }
   const Image<double> gradient = Blurred(residual, Psf(c));
   const auto slope = [&](int x, int y, int dx, int dy) {
@@ -168,8 +169,8 @@ TEST(UpdateSweep, InPlaceGivesTheSameBytes) {
     for (std::size_t steps = 1; steps <= kMomenta.size(); ++steps) {
       State state(c);
       UpdateSweep sweep(Psf(c));
-      const SweepPlanes planes{&state.scene, &state.previous, &state.weight, &state.weighted, &state.majoriser, &state.scene, &state.previous,
-                               &state.prediction};
+      const SweepPlanes planes{&state.scene,     &state.previous, &state.weight,   &state.weighted,
+                               &state.majoriser, &state.scene,    &state.previous, &state.prediction};
       sweep.Run(planes, c.region, c.region, std::span(kMomenta).first(steps), kWeights);
       ExpectSame(state, Swept(c, steps, c.region.width(), c.region.height()), ToString(c.region));
     }
