@@ -9,7 +9,7 @@ namespace trem {
 namespace {
 
 // Rows filtered at a time: what their columns share is fetched once.
-constexpr int kBlock = 4;
+constexpr int kBlock = 16;
 
 }  // namespace
 

@@ -31,7 +31,7 @@ constexpr float kCurvatureMin = 1e-6F;
 constexpr int kBandRows = 32;
 
 // Rows of which the columns are filtered at a time.
-constexpr int kSeenBlock = 4;
+constexpr int kSeenBlock = 16;
 
 // Iterations that one sweep over a tile carries out.
 constexpr std::size_t kStepsPerSweep = 4;
