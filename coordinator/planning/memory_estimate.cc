@@ -6,6 +6,7 @@ namespace {
 constexpr std::uint64_t kMebibyte = 1ULL << 20;
 constexpr std::uint64_t kFrameBytesPerPixel = 40;
 constexpr std::uint64_t kCellBytes = 60;
+constexpr std::uint64_t kHeldBytesPerPixel = 8;
 constexpr std::uint64_t kCanvasFactor = 2;
 constexpr std::uint64_t kLayersMax = 64;
 
@@ -19,7 +20,9 @@ std::uint64_t EnhanceMemoryBytes(const v1::Sortie& sortie, std::uint32_t width_p
   const std::uint64_t ratio = sortie.tre().ratio();
   const std::uint64_t cells = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * ratio * ratio;
   const std::uint64_t frame_bytes = static_cast<std::uint64_t>(width_px) * height_px * kFrameBytesPerPixel;
-  return RoundUp(kProcessBytes + cells * kCanvasFactor * kCellBytes + frame_bytes);
+  const std::uint64_t frames = window.frame_end - window.frame_begin;
+  const std::uint64_t held_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * frames * kHeldBytesPerPixel;
+  return RoundUp(kProcessBytes + cells * kCanvasFactor * kCellBytes + held_bytes + frame_bytes);
 }
 
 std::uint64_t AlignMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t window_bytes_sum) {

@@ -18,8 +18,9 @@ inline constexpr std::uint64_t kProcessBytes = 192ULL << 20;
 // known yet, so an image of 4096 x 4096 is assumed: the one bound here that a larger sensor can exceed.
 std::uint64_t IngestMemoryBytes();
 
-// (roi_w ratio)(roi_h ratio) 2 60 B + w h 40 B. A scene canvas holds at most about twice the ROI's cells, at about 60 B a cell:
-// intensity, information, gradient, prior weights, prediction and the raster being written. A frame is decoded whole: w h 40 B.
+// (roi_w ratio)(roi_h ratio) 2 60 B + roi_w roi_h frames 8 B + w h 40 B. A scene canvas holds at most about twice the ROI's cells, at about 60 B a cell:
+// intensity, information, gradient, prior weights, prediction and the raster being written. All frames' pixels and weights of the
+// ROI are held. A frame is decoded whole: w h 40 B.
 std::uint64_t EnhanceMemoryBytes(const v1::Sortie& sortie, std::uint32_t width_px, std::uint32_t height_px, const WindowPlan& window);
 
 // 4 (sum of window.pb bytes) + 4096 B a frame of the manifest: views, ties and the sparse normal equations.

@@ -82,6 +82,15 @@ void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
   if (sensor->psf_model() == v1::PSF_AUTO) {
     sensor->set_psf_model(!sensor->psf_kernel_path().empty() ? v1::KERNEL_FILE : sensor->f_number() != 0.0 ? v1::OPTICS : v1::GAUSSIAN);
   }
+  check->Text("sensor.psf_kernel_path", sensor->psf_kernel_path(), 4096);
+  if (sensor->psf_model() == v1::KERNEL_FILE) {
+    if (sensor->psf_kernel_path().empty()) check->Refuse("sensor.psf_kernel_path", "missing", "a file with the kernel, because psf_model is KERNEL_FILE");
+    if (sensor->psf_sigma_px() != 0.0) {
+      check->Refuse("sensor.psf_sigma_px", fmt::format("{}", sensor->psf_sigma_px()), "nothing beside KERNEL_FILE: the kernel holds the whole blur");
+    }
+  } else if (!sensor->psf_kernel_path().empty()) {
+    check->Refuse("sensor.psf_kernel_path", "set", "nothing unless psf_model is KERNEL_FILE or left out");
+  }
   const bool optics = sensor->psf_model() == v1::OPTICS;
   const auto optical = [&](const char* field, double value, double least, double most) {
     if (optics || value != 0.0) check->Number(field, value, least, most);
@@ -93,7 +102,6 @@ void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
     check->Number("sensor.wavelength_um * f_number / pixel_pitch_um (the diffraction's width in pixels)",
                   sensor->wavelength_um() * sensor->f_number() / sensor->pixel_pitch_um(), 0.05, 4.0);
   }
-  if (sensor->psf_model() == v1::GAUSSIAN) sensor->set_psf_sigma_px(OrDefault(sensor->psf_sigma_px(), 0.55));
   if (sensor->psf_sigma_px() != 0.0) check->Number("sensor.psf_sigma_px", sensor->psf_sigma_px(), 0.05, 3.0);
   check->Number("sensor.smear_px", sensor->smear_px(), 0.0, 10.0);
   check->Number("sensor.smear_direction_deg", sensor->smear_direction_deg(), -360.0, 360.0);
@@ -104,6 +112,10 @@ void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
   sensor->set_fill_factor(OrDefault(sensor->fill_factor(), 0.9));
   check->Number("sensor.fill_factor", sensor->fill_factor(), 0.05, 1.0);
   check->Number("sensor.noise_sigma", sensor->noise_sigma(), 0.0, 65535.0);
+  check->Number("sensor.shot_noise", sensor->shot_noise(), 0.0, 65535.0);
+  check->Text("sensor.bad_pixel_path", sensor->bad_pixel_path(), 4096);
+  check->Text("sensor.mask_path", sensor->mask_path(), 4096);
+  if (sensor->has_saturation_level()) check->Number("sensor.saturation_level", sensor->saturation_level(), -1e30, 1e30);
   check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
 }
 
@@ -113,11 +125,6 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
     if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
   };
   const v1::Sensor& sensor = sortie.sensor();
-  refuse(sensor.psf_model() == v1::KERNEL_FILE || !sensor.psf_kernel_path().empty(), "sensor.psf_kernel_path");
-  refuse(sensor.shot_noise() != 0.0, "sensor.shot_noise");
-  refuse(!sensor.bad_pixel_path().empty(), "sensor.bad_pixel_path");
-  refuse(!sensor.mask_path().empty(), "sensor.mask_path");
-  refuse(sensor.has_saturation_level(), "sensor.saturation_level");
   refuse(sensor.detector_bias() == v1::CORRECTION_ON, "sensor.detector_bias");
   const v1::Tre& tre = sortie.tre();
   refuse(tre.gain_offset() == v1::MARGINALISED, "tre.gain_offset");

@@ -45,6 +45,10 @@ std::string Absolute(const std::string& path, const fs::path& base) {
 void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
   if (!sortie->source().path().empty()) sortie->mutable_source()->set_path(Absolute(sortie->source().path(), base));
   if (!sortie->telemetry().path().empty()) sortie->mutable_telemetry()->set_path(Absolute(sortie->telemetry().path(), base));
+  v1::Sensor* sensor = sortie->mutable_sensor();
+  if (!sensor->psf_kernel_path().empty()) sensor->set_psf_kernel_path(Absolute(sensor->psf_kernel_path(), base));
+  if (!sensor->bad_pixel_path().empty()) sensor->set_bad_pixel_path(Absolute(sensor->bad_pixel_path(), base));
+  if (!sensor->mask_path().empty()) sensor->set_mask_path(Absolute(sensor->mask_path(), base));
 }
 
 // Ok when `path` is there: something readable, or a glob that matches something.
@@ -62,6 +66,15 @@ Status CheckSource(const v1::Source& source) {
   if (error) return InvalidInput(fmt::format("source.path: cannot list the folder {}: {}", source.path(), error.message()));
   if (empty) return NotFound(fmt::format("source.path: the folder {} is empty; expected images in it", source.path()));
   return {};
+}
+
+Status CheckSensorFiles(const v1::Sensor& sensor) {
+  const auto check = [](const std::string& field, const std::string& path, const std::string& expected) {
+    return path.empty() ? Status() : CheckThere(field, path, expected);
+  };
+  TREM_RETURN_IF_ERROR(check("sensor.psf_kernel_path: ", sensor.psf_kernel_path(), "a kernel as text or raster"));
+  TREM_RETURN_IF_ERROR(check("sensor.bad_pixel_path: ", sensor.bad_pixel_path(), "a PNG or TIFF of the sensor's size"));
+  return check("sensor.mask_path: ", sensor.mask_path(), "a PNG or TIFF of the sensor's size");
 }
 
 }  // namespace
@@ -89,6 +102,7 @@ Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std
   if (!sortie.telemetry().path().empty() && !sortie.telemetry().ignore()) {
     TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", sortie.telemetry().path(), "a telemetry.csv"));
   }
+  TREM_RETURN_IF_ERROR(CheckSensorFiles(sortie.sensor()));
   return sortie;
 }
 

@@ -263,7 +263,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   Outcome outcome;
   std::vector<std::string> notes;
   for (const v1::Note& note : manifest.notes()) {
-    if (note.severity() == v1::WARNING) notes.push_back(note.message());
+    if (note.severity() == v1::WARNING || note.code() == "resolution_ceiling" || note.code() == "psf_estimate") notes.push_back(note.message());
   }
   TREM_ASSIGN_OR_RETURN(outcome.roi, ChooseRoi(arguments, ingest.sortie(), manifest));
   TREM_ASSIGN_OR_RETURN(outcome.frames, ChooseFrames(arguments, outcome.roi, manifest, &notes));

@@ -15,7 +15,7 @@
 #include "worker/app/progress_bar.h"
 #include "worker/app/sortie_report.h"
 #include "worker/app/usage.h"
-#include "worker/sortie/ingest.h"
+#include "worker/tasks/describe_sortie.h"
 
 namespace trem {
 namespace {
@@ -39,7 +39,7 @@ Result<v1::SortieManifest> Ingest(const Arguments& arguments) {
   TREM_ASSIGN_OR_RETURN(const v1::Sortie sortie, LoadSortie(arguments.sortie, arguments.overrides));
   ProgressBar bar("reading", arguments.quiet);
   try {
-    return IngestSortie(sortie, [&bar](double fraction) {
+    return DescribeSortie(sortie, [&bar](double fraction) {
       bar.Show(fraction);
       return true;
     });

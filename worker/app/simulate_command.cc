@@ -50,6 +50,7 @@ void AddSensorOptions(CLI::App* app, SimulationOptions* o) {
   app->add_option("--gain-drift", o->gain_drift, "Smooth drift, standard deviation, relative")->group(group);
   app->add_option("--offset-drift", o->offset_drift, "Smooth drift, standard deviation, grey levels")->group(group);
   app->add_option("--noise-sigma", o->noise_sigma, "White noise, grey levels")->group(group);
+  app->add_option("--shot-noise", o->shot_noise, "Photon noise: variance per grey level")->group(group);
   app->add_option("--fixed-pattern-sigma", o->fixed_pattern_sigma, "Constant offset of each pixel, grey levels")->group(group);
   app->add_option("--dead-pixels", o->dead_pixel_fraction, "Fraction of pixels stuck at a level")->group(group);
 }

@@ -171,6 +171,22 @@ std::string FormatFootprint(const SortieReport& report) {
   return text;
 }
 
+std::string SensorText(const v1::SortieManifest& manifest, const SortieReport& report) {
+  const v1::SensorManifest& sensor = manifest.sensor();
+  std::string text = "sensor     ";
+  if (sensor.psf_sigma_error_px() > 0.0) {
+    text += fmt::format("PSF sigma {:.2f} +- {:.2f} px, estimated; ", sensor.psf_sigma_px(), sensor.psf_sigma_error_px());
+  } else if (sensor.psf_sigma_px() > 0.0) {
+    text += fmt::format("PSF sigma {:.2f} px, assumed; ", sensor.psf_sigma_px());
+  }
+  if (sensor.optics_q() > 0.0) text += fmt::format("Q {:.2f}; ", sensor.optics_q());
+  text += fmt::format("resolves at best {:.2f} cycles/px", sensor.ceiling_cycles_per_px());
+  if (report.footprint.has_value() && sensor.ceiling_cycles_per_px() > 0.0) {
+    text += fmt::format(", periods of {:.3g} m", report.footprint->gsd_m / sensor.ceiling_cycles_per_px());
+  }
+  return text + fmt::format(" ({})\n", sensor.ceiling_limit());
+}
+
 }  // namespace
 
 SortieReport ReportOn(const v1::SortieManifest& manifest) {
@@ -202,6 +218,7 @@ std::string FormatReport(const v1::SortieManifest& manifest, const SortieReport&
                       : manifest.grey_max() == 65535.0 ? "16 bit"
                                                        : "floating point",
                       manifest.noise_sigma() * manifest.grey_scale());
+  text += SensorText(manifest, report);
   text += fmt::format("motion     median {:.2f} px, largest {:.1f} px; {} of {} pairs of frames registered", report.motion_median_px,
                       report.motion_max_px, report.link_count - report.failed_link_count, report.link_count);
   text +=
@@ -239,6 +256,11 @@ std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieR
       {"frame_rate_hz", report.frame_rate_hz},
       {"grey_max", manifest.grey_max()},
       {"noise_sigma", manifest.noise_sigma() * manifest.grey_scale()},
+      {"psf_sigma_px", manifest.sensor().psf_sigma_px()},
+      {"psf_sigma_error_px", manifest.sensor().psf_sigma_error_px()},
+      {"optics_q", manifest.sensor().optics_q()},
+      {"ceiling_cycles_per_px", manifest.sensor().ceiling_cycles_per_px()},
+      {"ceiling_limit", manifest.sensor().ceiling_limit()},
       {"motion_median_px", report.motion_median_px},
       {"motion_max_px", report.motion_max_px},
       {"links", report.link_count},

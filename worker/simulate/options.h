@@ -35,6 +35,7 @@ struct SimulationOptions {
   double gain_drift = 0.03;   // Standard deviation of the smooth drift, relative.
   double offset_drift = 2.0;  // Grey levels.
   double noise_sigma = 2.0;
+  double shot_noise = 0.0;       // Variance per grey level, on top of noise_sigma^2.
   double fixed_pattern_sigma = 0.0;
   double dead_pixel_fraction = 0.0;
   int mover_count = 0;

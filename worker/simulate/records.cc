@@ -96,6 +96,7 @@ Json SimulationJson(const SimulationOptions& o, const Truth& truth, const Flight
               {"gain_drift", o.gain_drift},
               {"offset_drift", o.offset_drift},
               {"noise_sigma", o.noise_sigma},
+              {"shot_noise", o.shot_noise},
               {"fixed_pattern_sigma", o.fixed_pattern_sigma},
               {"dead_pixel_fraction", o.dead_pixel_fraction},
               {"mover_count", o.mover_count},

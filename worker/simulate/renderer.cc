@@ -154,7 +154,9 @@ Image<std::uint16_t> Renderer::Frame(const Exposure& exposure) const {
   Rng noise({options_.seed, kNoise, static_cast<std::uint64_t>(exposure.index)});
   Image<std::uint16_t> frame(options_.width_px, options_.height_px);
   for (std::size_t i = 0; i < frame.pixels().size(); ++i) {
-    double grey = exposure.gain * radiance.pixels()[i] + exposure.offset + options_.noise_sigma * noise.Normal();
+    const double level = exposure.gain * radiance.pixels()[i] + exposure.offset;
+    const double variance = options_.noise_sigma * options_.noise_sigma + options_.shot_noise * std::max(level, 0.0);
+    double grey = level + (options_.shot_noise > 0.0 ? std::sqrt(variance) : options_.noise_sigma) * noise.Normal();
     if (!fixed_pattern_.empty()) grey += fixed_pattern_.pixels()[i];
     if (!stuck_.empty() && !std::isnan(stuck_.pixels()[i])) grey = stuck_.pixels()[i];
     frame.pixels()[i] = static_cast<std::uint16_t>(std::lround(std::clamp(grey * counts_per_grey, 0.0, count_max)));

@@ -177,6 +177,7 @@ Status CheckSimulationOptions(const SimulationOptions& o) {
   TREM_RETURN_IF_ERROR(CheckRange("--gain-drift", o.gain_drift, 0, 0.3));
   TREM_RETURN_IF_ERROR(CheckRange("--offset-drift", o.offset_drift, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--noise-sigma", o.noise_sigma, 0, 100));
+  TREM_RETURN_IF_ERROR(CheckRange("--shot-noise", o.shot_noise, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--fixed-pattern-sigma", o.fixed_pattern_sigma, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--dead-pixels", o.dead_pixel_fraction, 0, 0.5));
   TREM_RETURN_IF_ERROR(CheckRange("--movers", o.mover_count, 0, 10000));

@@ -30,12 +30,22 @@ double BlockSigma(const Image<float>& frame, int x0, int y0) {
   return std::sqrt(M_PI / 2.0) / 6.0 * sum / (kBlock_px * kBlock_px);
 }
 
+bool IsUsable(const Image<std::uint8_t>& usable, int x0, int y0) {
+  for (int y = y0 - 1; y <= y0 + kBlock_px; ++y) {
+    const std::uint8_t* row = usable.row(y);
+    if (std::find(row + x0 - 1, row + x0 + kBlock_px + 1, 0) != row + x0 + kBlock_px + 1) return false;
+  }
+  return true;
+}
+
 }  // namespace
 
-double EstimateNoiseSigma(const Image<float>& frame, const Roi& roi) {
+double EstimateNoiseSigma(const Image<float>& frame, const Roi& roi, const Image<std::uint8_t>* usable) {
   std::vector<double> sigmas;
   for (int y = roi.y0 + 1; y + kBlock_px < roi.y1; y += kBlock_px) {
-    for (int x = roi.x0 + 1; x + kBlock_px < roi.x1; x += kBlock_px) sigmas.push_back(BlockSigma(frame, x, y));
+    for (int x = roi.x0 + 1; x + kBlock_px < roi.x1; x += kBlock_px) {
+      if (usable == nullptr || IsUsable(*usable, x, y)) sigmas.push_back(BlockSigma(frame, x, y));
+    }
   }
   if (sigmas.empty()) return 0.0;
   const auto rank = sigmas.begin() + static_cast<std::ptrdiff_t>(kNoiseQuantile * static_cast<double>(sigmas.size() - 1));

@@ -10,8 +10,8 @@ namespace trem {
 
 // Standard deviation of a frame's white noise, in its grey levels: Immerkaer's Laplacian (CVIU 64(2), 1996: sigma = sqrt(pi/2) / 6 *
 // mean |I * [1 -2 1; -2 4 -2; 1 -2 1]|) over blocks of 16 x 16 px, of which a low quantile is taken because texture only adds. Unbiased
-// (within 3 %) on pure noise. 0 for frames smaller than a block.
-double EstimateNoiseSigma(const Image<float>& frame, const Roi& roi);
+// (within 3 %) on pure noise. 0 for frames smaller than a block. Blocks with a pixel that `usable` (may be null) says 0 of are left out.
+double EstimateNoiseSigma(const Image<float>& frame, const Roi& roi, const Image<std::uint8_t>* usable = nullptr);
 
 // Identifies a frame's exact pixels (64-bit FNV-1a over size and bit patterns).
 std::uint64_t PixelFingerprint(const Image<float>& frame);

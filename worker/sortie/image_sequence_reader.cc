@@ -267,6 +267,15 @@ Result<ImageSize> ReadImageSize(const std::filesystem::path& path) {
   return SizeOf(dataset.get());
 }
 
+Result<std::string> ReadImageMetadata(const std::filesystem::path& path, const std::string& key) {
+  const GdalMessages messages;
+  TREM_ASSIGN_OR_RETURN(const DatasetPtr dataset, OpenDataset(path, messages));
+  const int bands = GDALGetRasterCount(dataset.get());
+  if (bands != 1) return InvalidInput(path.string() + ": has " + std::to_string(bands) + " bands; expected one");
+  const char* value = GDALGetMetadataItem(dataset.get(), key.c_str(), nullptr);
+  return std::string(value == nullptr ? "" : value);
+}
+
 Result<GreyImage> ReadGreyImage(const std::filesystem::path& path) {
   const GdalMessages messages;
   TREM_ASSIGN_OR_RETURN(const DatasetPtr dataset, OpenDataset(path, messages));

@@ -40,6 +40,9 @@ struct ImageSize {
 // What the header says, within the limits of grey_image.h; no pixels are decoded. Same errors as ReadGreyImage.
 Result<ImageSize> ReadImageSize(const std::filesystem::path& path);
 
+// A metadata item of the file's default domain; empty when it has none. Same errors as ReadGreyImage. kInvalidInput when the image has more than one band.
+Result<std::string> ReadImageMetadata(const std::filesystem::path& path, const std::string& key);
+
 // Decodes a PNG, TIFF or JPEG with 8 or 16 bit (TIFF: any number type), grey, palette or colour; transparency is ignored. kInvalidInput
 // when it is not such an image, is damaged, or is larger than the limits of grey_image.h.
 Result<GreyImage> ReadGreyImage(const std::filesystem::path& path);

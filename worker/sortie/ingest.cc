@@ -1,5 +1,7 @@
 #include "worker/sortie/ingest.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <deque>
@@ -14,6 +16,7 @@
 #include "worker/sortie/frame_reader.h"
 #include "worker/sortie/frame_source.h"
 #include "worker/sortie/frame_statistics.h"
+#include "worker/sortie/pixel_mask.h"
 #include "worker/sortie/spans.h"
 #include "worker/sortie/telemetry_match.h"
 
@@ -24,6 +27,8 @@ namespace {
 constexpr std::size_t kFramesBeforeMotion = 32;
 constexpr double kQuantisationSigma = 0.29;  // Of an integer grey level: 1 / sqrt(12).
 constexpr double kBlankSpan = 2.0;           // Grey levels of an 8-bit source.
+// More saturated pixels than this are worth a note.
+constexpr double kSaturatedPartNoted = 0.01;
 constexpr std::size_t kFingerprintsMax = 16;
 
 double Median(std::vector<double> values) {
@@ -46,6 +51,8 @@ class Ingest {
     }
     TREM_ASSIGN_OR_RETURN(source_, OpenFrameSource(sortie_));
     StartManifest();
+    TREM_ASSIGN_OR_RETURN(mask_, ReadPixelMask(sortie_.sensor(), source_->width_px(), source_->height_px()));
+    if (mask_.has_value()) filler_.emplace(*mask_);
     TREM_RETURN_IF_ERROR(ReadFrames());
     LinkWaitingFrames();
     FinishPixels();
@@ -94,7 +101,7 @@ class Ingest {
       entry->set_time_s(frame.time_s);
       entry->set_state(Judge(frame));
       if (!frame.image.ok() && first_problem.ok()) first_problem = frame.image.status();
-      if (entry->state() == v1::FRAME_USABLE) Measure(index, frame.image->pixels);
+      if (entry->state() == v1::FRAME_USABLE) Measure(index, std::move(frame.image->pixels));
     }
     if (usable_count_ > 0) return {};
     if (!first_problem.ok()) return first_problem.WithPrefix(sortie_.source().path() + ": no frame is usable; the first problem");
@@ -139,13 +146,19 @@ class Ingest {
     return v1::FRAME_USABLE;
   }
 
-  void Measure(int index, const Image<float>& pixels) {
+  void Measure(int index, Image<float> pixels) {
     ++usable_count_;
+    const std::optional<double> saturation = SaturationLevel();
+    if (saturation.has_value()) {
+      const auto level = static_cast<float>(*saturation);
+      saturated_count_ += std::count_if(pixels.pixels().begin(), pixels.pixels().end(), [level](float value) { return value >= level; });
+    }
+    if (filler_.has_value()) filler_->Fill(&pixels);
     borders_->Add(pixels);
     sampler_.Add(pixels);
     const Roi middle = {pixels.width() / 10, pixels.height() / 10, pixels.width() - pixels.width() / 10,
                         pixels.height() - pixels.height() / 10};
-    noise_sigmas_.push_back(EstimateNoiseSigma(pixels, middle));
+    noise_sigmas_.push_back(EstimateNoiseSigma(pixels, middle, mask_.has_value() ? &mask_->usable : nullptr));
     waiting_.push_back({index, ReduceFrame(pixels)});
     if (motion_.has_value() || waiting_.size() >= kFramesBeforeMotion) LinkWaitingFrames();
   }
@@ -162,8 +175,35 @@ class Ingest {
     waiting_.clear();
   }
 
+  // Grey level from which a pixel is saturated; nothing for floating point without sensor.saturation_level.
+  std::optional<double> SaturationLevel() const {
+    if (sortie_.sensor().has_saturation_level()) return sortie_.sensor().saturation_level();
+    return grey_max_ > 0.0 ? std::optional<double>(grey_max_) : std::nullopt;
+  }
+
+  void FinishMask(BorderFinder::Finding* borders) {
+    v1::SensorManifest* sensor = manifest_.mutable_sensor();
+    const double pixel_count = static_cast<double>(source_->width_px()) * source_->height_px();
+    const std::optional<double> saturation = SaturationLevel();
+    if (saturation.has_value()) {
+      sensor->set_saturation_level(*saturation);
+      const double part = static_cast<double>(saturated_count_) / (pixel_count * usable_count_);
+      if (part > kSaturatedPartNoted) {
+        Note(v1::INFO, "saturated", sortie_.source().path(),
+             fmt::format("{:.1f} % of the pixels are saturated (grey level {:g} or more) and hardly count", 100.0 * part, *saturation));
+      }
+    }
+    if (!mask_.has_value()) return;
+    for (const std::uint32_t run : RunsOf(*mask_)) sensor->add_unusable_runs(run);
+    borders->valid_roi = Intersect(borders->valid_roi, mask_->usable_bounds);
+    Note(v1::INFO, "pixels_masked", sortie_.source().path(),
+         fmt::format("{} pixels of the sensor ({:.2f} %) are masked or bad and never used", mask_->unusable_count,
+                     100.0 * static_cast<double>(mask_->unusable_count) / pixel_count));
+  }
+
   void FinishPixels() {
-    const BorderFinder::Finding borders = borders_->Find();
+    BorderFinder::Finding borders = borders_->Find();
+    FinishMask(&borders);
     *manifest_.mutable_valid_roi() = ToProto(borders.valid_roi);
     if (!borders.note.empty()) {
       Note(v1::INFO, "border_cut", sortie_.source().path(),
@@ -174,6 +214,7 @@ class Ingest {
     manifest_.set_grey_offset(scaling.offset);
     manifest_.set_grey_scale(scaling.scale);
     manifest_.set_grey_max(grey_max_);
+    manifest_.mutable_sensor()->set_grey_median(sampler_.Quantile(0.5, 1.0 - static_cast<double>(borders.valid_roi.area()) / area));
     double sigma = sortie_.sensor().noise_sigma();
     if (sigma <= 0.0) {
       sigma = Median(noise_sigmas_);
@@ -224,6 +265,9 @@ class Ingest {
   std::unique_ptr<FrameSource> source_;
   v1::SortieManifest manifest_;
   std::optional<BorderFinder> borders_;
+  std::optional<PixelMask> mask_;
+  std::optional<MaskFiller> filler_;
+  long long saturated_count_ = 0;
   QuantileSampler sampler_;
   std::vector<double> noise_sigmas_;
   std::deque<WaitingFrame> waiting_;

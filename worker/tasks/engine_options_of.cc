@@ -1,33 +1,16 @@
 #include "worker/tasks/engine_options_of.h"
 
 #include <algorithm>
-#include <numbers>
+#include <cmath>
+
+#include "worker/tasks/sensor_of.h"
 
 namespace trem {
-
-namespace {
-
-PsfParameters PsfParametersOf(const v1::Sensor& sensor) {
-  PsfParameters psf;
-  if (sensor.fill_factor() > 0.0) psf.fill_factor = sensor.fill_factor();
-  if (sensor.psf_model() == v1::OPTICS) {
-    psf.model = PsfModel::kOptics;
-    psf.q = sensor.wavelength_um() * sensor.f_number() / sensor.pixel_pitch_um();
-    psf.sigma_px = sensor.psf_sigma_px();
-  } else if (sensor.psf_sigma_px() > 0.0) {
-    psf.sigma_px = sensor.psf_sigma_px();
-  }
-  psf.smear_px = sensor.smear_px();
-  psf.smear_direction_rad = sensor.smear_direction_deg() * std::numbers::pi / 180.0;
-  return psf;
-}
-
-}  // namespace
 
 EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
   const v1::Sortie& sortie = spec.sortie();
   EngineOptions options;
-  options.psf = PsfParametersOf(sortie.sensor());
+  options.psf = PsfParametersOf(sortie.sensor(), manifest.sensor());
   if (sortie.tre().ratio() > 0) options.ratio = static_cast<int>(sortie.tre().ratio());
   switch (sortie.tre().registration()) {
     case v1::GAUSS_NEWTON: options.registration = RegistrationMethod::kGaussNewton; break;
@@ -44,6 +27,9 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
   options.noise_known = sortie.sensor().noise_sigma() > 0.0;
   // Below half a grey level the quantisation of 8-bit sources dominates.
   options.noise_sigma = options.noise_known ? sortie.sensor().noise_sigma() / manifest.grey_scale() : std::max(manifest.noise_sigma(), 0.5);
+  if (options.noise_known && sortie.sensor().shot_noise() > 0.0) {
+    options.noise_sigma = std::sqrt(NoiseModelOf(sortie.sensor(), manifest).typical_variance);
+  }
   options.seed = spec.seed();
   return options;
 }

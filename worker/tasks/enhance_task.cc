@@ -8,6 +8,7 @@
 #include "proto/codec/convert.h"
 #include "worker/sortie/frame_reader.h"
 #include "worker/tasks/engine_options_of.h"
+#include "worker/tasks/pixel_use.h"
 #include "worker/tasks/task.h"
 #include "worker/tasks/task_inputs.h"
 #include "worker/tre/mapping_engine.h"
@@ -30,19 +31,6 @@ const char* ReasonOf(v1::FrameState state) {
   }
 }
 
-// The ROI of a frame in internal grey levels.
-Image<float> Crop(const Image<float>& frame, const Roi& roi, double grey_offset, double grey_scale) {
-  Image<float> crop(roi.width(), roi.height());
-  const float offset = static_cast<float>(grey_offset);
-  const float factor = static_cast<float>(1.0 / grey_scale);
-  for (int y = 0; y < roi.height(); ++y) {
-    const float* from = frame.row(roi.y0 + y) + roi.x0;
-    float* to = crop.row(y);
-    for (int x = 0; x < roi.width(); ++x) to[x] = (from[x] - offset) * factor;
-  }
-  return crop;
-}
-
 Status CheckWindow(const v1::EnhanceParams& params, const v1::SortieManifest& manifest) {
   const Roi roi = FromProto(params.roi_in_sensor());
   const Roi sensor{0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
@@ -57,9 +45,12 @@ Status CheckWindow(const v1::EnhanceParams& params, const v1::SortieManifest& ma
   return {};
 }
 
-Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, const v1::SortieManifest& manifest, const TaskContext& context) {
+Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest,
+                                           const TaskContext& context) {
   const Roi roi = FromProto(params.roi_in_sensor());
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest));
+  TREM_ASSIGN_OR_RETURN(const PixelUse pixel_use, PixelUse::Of(sensor, manifest));
+  const bool masked = pixel_use.UsablePart(roi) < kUsablePartMin;
   std::vector<FrameInput> frames;
   for (std::uint32_t index = params.frame_begin(); index < params.frame_end(); ++index) {
     const double done = static_cast<double>(index - params.frame_begin()) / (params.frame_end() - params.frame_begin());
@@ -69,9 +60,11 @@ Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, cons
     frame.frame_index = static_cast<int>(index);
     if (record.state() != v1::FRAME_USABLE) {
       frame.skip_reason = ReasonOf(record.state());
+    } else if (masked) {
+      frame.skip_reason = "nearly all of the ROI is masked";
     } else {
       TREM_ASSIGN_OR_RETURN(const Image<float> whole, reader->Read(static_cast<int>(index)));
-      frame.pixels = Crop(whole, roi, manifest.grey_offset(), manifest.grey_scale());
+      pixel_use.Take(whole, roi, &frame);
     }
     if (record.previous_from_current_size() > 0 && record.motion_correlation() >= kMotionCorrelationMin) {
       TREM_ASSIGN_OR_RETURN(frame.previous_from_current, AffineFromProto(record.previous_from_current(), "previous_from_current"));
@@ -168,7 +161,7 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, &manifest));
   TREM_RETURN_IF_ERROR(CheckWindow(spec.enhance(), manifest));
-  TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(spec.enhance(), manifest, context));
+  TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(spec.enhance(), spec.sortie().sensor(), manifest, context));
 
   SnapshotWriter writer(*context.store);
   const SnapshotSink sink = [&](int segment_id, const SceneSnapshot& snapshot) { return writer.Write(segment_id, snapshot); };

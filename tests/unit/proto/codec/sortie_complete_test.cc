@@ -37,7 +37,8 @@ TEST(CompleteSortie, FillsInTheDocumentedDefaults) {
   EXPECT_EQ(sortie.telemetry().position_sigma_m(), 1.0);
   EXPECT_EQ(sortie.telemetry().attitude_sigma_deg(), 0.1);
   EXPECT_FALSE(sortie.telemetry().has_ground_elevation_m());
-  EXPECT_EQ(sortie.sensor().psf_sigma_px(), 0.55);
+  EXPECT_EQ(sortie.sensor().psf_model(), v1::GAUSSIAN);
+  EXPECT_EQ(sortie.sensor().psf_sigma_px(), 0.0) << "estimated";
   EXPECT_EQ(sortie.sensor().fill_factor(), 0.9);
   EXPECT_EQ(sortie.sensor().noise_sigma(), 0.0);
   EXPECT_EQ(sortie.tre().ratio(), 3u);

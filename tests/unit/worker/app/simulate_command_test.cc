@@ -76,7 +76,7 @@ TEST(SimulateCommand, LeavesFramesTelemetryTruthAndASpec) {
     const Result<v1::Sortie> spec = LoadSortie(argument.string(), {});
     ASSERT_TRUE(spec.ok()) << spec.status().message();
     EXPECT_TRUE(fs::equivalent(spec->source().path(), temp / "sortie" / "frames"));
-    EXPECT_GT(spec->sensor().psf_sigma_px(), 0.0) << "zero stands for the default";
+    EXPECT_GT(spec->sensor().fill_factor(), 0.0) << "zero stands for the default";
   }
 }
 
