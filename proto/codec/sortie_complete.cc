@@ -124,8 +124,6 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
   const auto refuse = [check](bool asked, const char* field) {
     if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
   };
-  const v1::Sensor& sensor = sortie.sensor();
-  refuse(sensor.detector_bias() == v1::CORRECTION_ON, "sensor.detector_bias");
   const v1::Tre& tre = sortie.tre();
   refuse(tre.gain_offset() == v1::MARGINALISED, "tre.gain_offset");
   refuse(tre.dynamics_sigma_px() != 0.0, "tre.dynamics_sigma_px");
@@ -133,7 +131,6 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
   refuse(tre.structure() > v1::MEMBRANE, "tre.structure");
   refuse(tre.landweber_window() != 0, "tre.landweber_window");
   refuse(tre.landweber_revisit(), "tre.landweber_revisit");
-  refuse(tre.mover_mask() == v1::CORRECTION_ON, "tre.mover_mask");
 }
 
 void CompleteTre(v1::Tre* tre, RangeChecker* check) {

@@ -6,6 +6,14 @@
 #include "worker/tasks/sensor_of.h"
 
 namespace trem {
+namespace {
+
+Correction CorrectionOf(v1::Correction asked) {
+  if (asked == v1::CORRECTION_ON) return Correction::kOn;
+  return asked == v1::CORRECTION_OFF ? Correction::kOff : Correction::kAuto;
+}
+
+}  // namespace
 
 EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest& manifest) {
   const v1::Sortie& sortie = spec.sortie();
@@ -30,6 +38,8 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
   if (options.noise_known && sortie.sensor().shot_noise() > 0.0) {
     options.noise_sigma = std::sqrt(NoiseModelOf(sortie.sensor(), manifest).typical_variance);
   }
+  options.detector_bias = CorrectionOf(sortie.sensor().detector_bias());
+  options.mover_mask = CorrectionOf(sortie.tre().mover_mask());
   options.seed = spec.seed();
   return options;
 }

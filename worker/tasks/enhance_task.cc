@@ -153,6 +153,17 @@ v1::WindowResult MakeWindow(const v1::EnhanceParams& params, const EngineResult&
   return window;
 }
 
+void AddNotes(const v1::EnhanceParams& params, const v1::SortieManifest& manifest, const EngineResult& engine, v1::TaskResult* result) {
+  for (const EngineNote& found : engine.notes) {
+    v1::Note* note = result->add_notes();
+    note->set_code(found.code);
+    const std::string window = "window " + std::to_string(params.window_id());
+    note->set_subject(found.frame_index < 0 ? window : "frame " + manifest.frames(found.frame_index).name());
+    note->set_message(found.frame_index < 0 ? window + ": " + found.text : "frame " + std::to_string(found.frame_index) + ", " + window + ": " + found.text);
+    note->set_severity(v1::INFO);
+  }
+}
+
 }  // namespace
 
 Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContext& context) {
@@ -172,6 +183,7 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   v1::TaskResult result;
   TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef window_ref, PutProtoArtefact(*context.store, "window.pb", MakeWindow(spec.enhance(), *engine, writer)));
   *result.add_outputs() = window_ref;
+  AddNotes(spec.enhance(), manifest, *engine, &result);
   for (const auto& [segment_id, scene] : writer.scenes()) *result.add_outputs() = scene.raster();
   return result;
 }

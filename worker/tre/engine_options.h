@@ -8,6 +8,13 @@
 
 namespace trem {
 
+// Whether something that not every sortie needs is estimated and removed.
+enum class Correction {
+  kAuto,  // When the frames show it.
+  kOn,
+  kOff,
+};
+
 // How TRE runs on a window. Every 0 or default is a good choice for an unknown sortie.
 struct EngineOptions {
   PsfParameters psf;
@@ -21,6 +28,8 @@ struct EngineOptions {
   double noise_sigma = 2.0;       // Internal grey levels; first guess unless `noise_known`.
   bool noise_known = false;       // True: noise_sigma is used as given; false: refined from the residuals.
   int threads = 1;                // For one ROI. Workers are one process a core and keep 1; the result does not depend on it.
+  Correction detector_bias = Correction::kAuto;  // Fixed pattern and bad pixels of the detector.
+  Correction mover_mask = Correction::kAuto;     // What moves in the scene; kAuto: not masked.
   std::uint64_t seed = 0;         // Names the random streams of HINTS.
 };
 

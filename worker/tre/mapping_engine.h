@@ -1,7 +1,6 @@
 #pragma once
 
 #include <functional>
-#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -9,18 +8,9 @@
 #include "mosaic/base/status.h"
 #include "worker/registration/registration.h"
 #include "worker/tre/engine_options.h"
+#include "worker/tre/frame_input.h"
 
 namespace trem {
-
-// One frame of a window, cropped to the ROI.
-struct FrameInput {
-  int frame_index = 0;                 // In the manifest; reported back.
-  std::string skip_reason;             // Not empty: the frame cannot be used, and why.
-  Image<float> pixels;                 // roi.width() x roi.height(), internal grey levels; NaN: no measurement.
-  Image<float> weights;                // See Observation::weights; empty: all 1.
-  // Sensor pixels of this frame to those of the previous usable one, from the registration of whole images; nothing when that failed.
-  std::optional<Affine> previous_from_current;
-};
 
 // One frame's entry in a segment's chain.
 struct ChainEntry {
@@ -49,10 +39,21 @@ struct SegmentResult {
   std::vector<ChainEntry> chain;
 };
 
+// What the engine found out about the frames and corrected by itself.
+struct EngineNote {
+  std::string code;      // Stable identifier, for example "brightness_jump".
+  int frame_index = -1;  // In the manifest; -1: the whole window.
+  std::string text;
+};
+
 struct EngineResult {
   std::vector<SegmentResult> segments;
   std::vector<FrameReport> frames;   // One per input frame, in order.
+  std::vector<EngineNote> notes;     // In the order of the frames.
   double noise_sigma = 0.0;          // Internal grey levels.
+  std::vector<int> bad_pixels;       // Found by the engine: indices in the ROI, y * width + x.
+  long long masked_pixels = 0;       // Masked as moving, of used_pixels.
+  long long used_pixels = 0;
 };
 
 // Receives every snapshot as soon as it is made, so that only one is in memory.
@@ -61,7 +62,7 @@ using SnapshotSink = std::function<Status(int segment_id, const SceneSnapshot& s
 // Mapping mode: a ROI fixed in the sensor; the scene moves under it by whole cells. For each frame: register to the scene's
 // prediction, splat, improve the scene. A segment is a run of frames on one scene plane; it ends, and the next begins a few frames
 // earlier, when the view has turned or stretched too far from the first frame's, and it ends without overlap when lock is lost for
-// good. Memory is bounded by about 1.5 times the ROI's side: when the ROI moves on, a snapshot is emitted and what lies behind is
+// good or when the frames that follow show something else (a cut). Memory is bounded by about 1.5 times the ROI's side: when the ROI moves on, a snapshot is emitted and what lies behind is
 // dropped. `progress` (may be empty) is called per frame with the fraction done; false cancels.
 Result<EngineResult> RunMapping(const Roi& roi_in_sensor, std::span<const FrameInput> frames, const EngineOptions& options,
                                 const SnapshotSink& sink, const std::function<bool(double)>& progress);

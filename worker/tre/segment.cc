@@ -3,8 +3,11 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "worker/sensor/bicubic.h"
+#include "worker/tre/brightness.h"
+#include "worker/tre/frame_check.h"
 
 namespace trem {
 namespace {
@@ -53,9 +56,7 @@ Roi RoundedOut(const Roi& roi, int step) {
   return {down(roi.x0), down(roi.y0), down(roi.x1 + step - 1), down(roi.y1 + step - 1)};
 }
 
-Roi Union(const Roi& a, const Roi& b) {
-  return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
-}
+Roi Union(const Roi& a, const Roi& b) { return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)}; }
 
 // The strips of `now` that `before` did not hold, each at least 24 cells wide so that it holds the PSF's support.
 std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
@@ -76,7 +77,8 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       segment_id_(segment_id),
       margin_(psf.radius() + 3),
       update_(Blur(psf), UpdateOptions(options)),
-      buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)) {
+      buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
+      movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
   const int parameters = ParameterCount(options.view_model);
   covariance_ = CornerMatrix::Zero(parameters, parameters);
@@ -99,6 +101,8 @@ Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
 void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& region) {
   const PlanarMap sensor_from_scene = view.scene_from_sensor.Inverse();
   const Roi inner = buffer_.InBuffer(region);
+  continued_ = frame.pixels;
+  const bool holes = ContinueHoles(&continued_);
   const double x_max = frame.pixels.width() - 2.001;
   const double y_max = frame.pixels.height() - 2.001;
   for (int y = inner.y0; y < inner.y1; ++y) {
@@ -107,10 +111,11 @@ void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& r
       const Eigen::Vector2d sensor = sensor_from_scene * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);
       const double u = std::clamp(sensor.x() - roi_.x0, 1.0, x_max);
       const double v = std::clamp(sensor.y() - roi_.y0, 1.0, y_max);
-      const bool inside = std::abs(sensor.x() - roi_.x0 - u) <= 1.5 && std::abs(sensor.y() - roi_.y0 - v) <= 1.5;
+      bool inside = std::abs(sensor.x() - roi_.x0 - u) <= 1.5 && std::abs(sensor.y() - roi_.y0 - v) <= 1.5;
+      if (holes) inside = inside && !std::isnan(frame.pixels.at(static_cast<int>(u + 0.5), static_cast<int>(v + 0.5)));
       const float source = inside ? SceneBuffer::kMeasured : SceneBuffer::kContinued;
       if (buffer_.filled.at(x, y) == source) continue;
-      const float sample = SampleCubic(frame.pixels, u, v);
+      const float sample = SampleCubic(continued_, u, v);
       if (std::isnan(sample)) continue;
       buffer_.filled.at(x, y) = source;
       const float value = (sample - static_cast<float>(view.offset)) / static_cast<float>(view.gain);
@@ -136,13 +141,49 @@ float Segment::Lambda(const Roi& region, double noise_sigma) const {
   return static_cast<float>(options_.structure_weight * 0.0125 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
 }
 
-void Segment::Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations) {
+const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_sigma) {
+  const Image<float>* const own = frame.weights.empty() ? nullptr : &frame.weights;
+  const bool mask_movers = options_.mover_mask == Correction::kOn;
+  if (!mask_movers && options_.detector_bias == Correction::kOff) return own;
+  residual_.Compute(ObservationOf(frame, roi_, noise_sigma), view_, buffer_);
+  if (!mask_movers) return own;
+  movers_.Judge(residual_, view_, roi_, noise_sigma);
+  for (const MoverMask::Block& block : movers_.outvoted()) {
+    const int ratio = options_.ratio;
+    const Roi cells = buffer_.InBuffer({block.x * ratio, block.y * ratio, (block.x + 1) * ratio, (block.y + 1) * ratio});
+    for (int y = cells.y0; y < cells.y1; ++y) {
+      for (int x = cells.x0; x < cells.x1; ++x) {
+        buffer_.weight.at(x, y) = buffer_.weighted.at(x, y) = buffer_.seen.at(x, y) = 0.0F;
+        buffer_.filled.at(x, y) = SceneBuffer::kNotFilled;
+      }
+    }
+  }
+  if (movers_.masked_count() == 0) return own;
+  masked_ += movers_.masked_count();
+  weights_ = own != nullptr ? *own : Image<float>(roi_.width(), roi_.height(), 1.0F);
+  const bool anew = !movers_.outvoted().empty();
+  for (int v = 0; v < roi_.height(); ++v) {
+    const unsigned char* mask = movers_.mask().row(v);
+    float* weights = weights_.row(v);
+    float* residual = residual_.value.row(v);
+    for (int u = 0; u < roi_.width(); ++u) {
+      if (mask[u] == 0) continue;
+      residual[u] = std::numeric_limits<float>::quiet_NaN();
+      // Ground that is made anew is made from this frame.
+      if (anew && movers_.IsOutvoted(view_.scene_from_sensor * Eigen::Vector2d(roi_.x0 + u, roi_.y0 + v))) continue;
+      weights[u] = 0.0F;
+    }
+  }
+  return &weights_;
+}
+
+void Segment::Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations) {
   const Roi region = Footprint(view.scene_from_sensor);
   FillUnseen(frame, view, region);
   update_.Predict(region, &buffer_);
-  update_.AddFrame(ObservationOf(frame, roi_, noise_sigma), view, region, &buffer_);
+  update_.AddFrame(observation, view, region, &buffer_);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
-  const float lambda = Lambda(region, noise_sigma);
+  const float lambda = Lambda(region, observation.noise_sigma);
   if (frame_count_ > 0) {
     for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, lambda, &buffer_);
   }
@@ -154,7 +195,7 @@ void Segment::Update(const FrameInput& frame, const View& view, double noise_sig
 
 Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   first_unemitted_ = frame.frame_index;
-  Update(frame, view_, noise_sigma, kFirstIterations);
+  Update(frame, ObservationOf(frame, roi_, noise_sigma), view_, kFirstIterations);
   Registration registration;
   registration.view = view_;
   registration.corner_covariance = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * 1e-8;
@@ -199,7 +240,22 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
   const float seen_min = std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames);
   const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
-  return Register(ObservationOf(frame, roi_, noise_sigma), reference, request);
+  Observation observation = ObservationOf(frame, roi_, noise_sigma);
+  Image<float> weights = frame.weights;
+  if (movers_.Hide(request.prior.mean, roi_, &weights)) observation.weights = &weights;
+  const std::optional<Brightness> jump = BrightnessJump(observation, reference, request.prior.mean);
+  if (!jump) return Register(observation, reference, request);
+  RegistrationRequest jumped = request;
+  jumped.prior.mean.gain = jump->gain;
+  jumped.prior.mean.offset = jump->offset;
+  jumped.prior.gain_sigma *= jump->gain;
+  for (View& candidate : jumped.candidates) {
+    candidate.gain = jump->gain;
+    candidate.offset = jump->offset;
+  }
+  JudgedRegistration judged = Register(observation, reference, jumped);
+  // What looked like a jump may be other ground: then the old brightness holds.
+  return judged.doubt.empty() ? judged : Register(observation, reference, request);
 }
 
 Status Segment::AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit) {
@@ -222,12 +278,16 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   skipped_ = 0;
   view_ = registration.view;
   covariance_ = registration.corner_covariance;
-  Update(frame, view_, noise_sigma, options_.iterations > 0 ? options_.iterations : kFrameIterations);
+  // What is unlike the rest of this frame, whose noise may have grown with a gain.
+  const Image<float>* const weights = MaskMovers(frame, std::max(noise_sigma, registration.residual_sigma));
+  const Observation observation{&frame.pixels, roi_, noise_sigma, weights};
+  Update(frame, observation, view_, options_.iterations > 0 ? options_.iterations : kFrameIterations);
   return {};
 }
 
 void Segment::SkipFrame(const FrameInput& frame) {
-  lost_from_current_ = lost_from_current_ * (frame.previous_from_current ? PlanarMap(*frame.previous_from_current) : previous_from_current_);
+  lost_from_current_ =
+      lost_from_current_ * (frame.previous_from_current ? PlanarMap(*frame.previous_from_current) : previous_from_current_);
   ++skipped_;
 }
 
@@ -247,6 +307,7 @@ Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
     snapshot.intensity.pixels()[i] = 0.0F;
   }
   first_unemitted_ = last_added_ + 1;
+  has_emitted_ = true;
   return emit(snapshot);
 }
 

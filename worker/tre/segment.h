@@ -2,8 +2,10 @@
 
 #include <functional>
 
+#include "worker/tre/frame_residual.h"
 #include "worker/tre/information_update.h"
 #include "worker/tre/mapping_engine.h"
+#include "worker/tre/mover_mask.h"
 #include "worker/tre/scene_buffer.h"
 
 namespace trem {
@@ -28,6 +30,12 @@ class Segment {
   Status End(double noise_sigma, const Emit& emit);
 
   int frame_count() const { return frame_count_; }
+  const View& view() const { return view_; }  // Of the last registered frame.
+  // What the last added frame left of the prediction.
+  const FrameResidual& residual() const { return residual_; }
+  // Pixels of all frames that were masked as moving.
+  long long masked() const { return masked_; }
+  bool has_emitted() const { return has_emitted_; }
 
  private:
   // Cells that the view's ROI covers, with the PSF's radius around them.
@@ -37,7 +45,10 @@ class Segment {
   // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
   // Never again after that: cells at the border that are reset with every frame would force overshoot on their neighbours.
   void FillUnseen(const FrameInput& frame, const View& view, const Roi& region);
-  void Update(const FrameInput& frame, const View& view, double noise_sigma, int iterations);
+  void Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations);
+  // Judges what the frame leaves of the prediction; the frame's weights without what moves (null: all 1), and ground that showed a mover
+  // is made free to be made anew.
+  const Image<float>* MaskMovers(const FrameInput& frame, double noise_sigma);
   float Lambda(const Roi& region, double noise_sigma) const;
   Status EmitSnapshot(double noise_sigma, const Emit& emit);
 
@@ -47,6 +58,7 @@ class Segment {
   int margin_;
   InformationUpdate update_;
   SceneBuffer buffer_;
+  Image<float> continued_;       // The frame with its holes continued.
   View view_;                    // Of the last registered frame.
   PlanarMap previous_from_current_; // Last measured motion, in sensor pixels.
   PlanarMap lost_from_current_;     // Motion of frames skipped since then.
@@ -54,6 +66,11 @@ class Segment {
   Roi last_region_;              // Footprint of the last frame.
   int frame_count_ = 0;
   int skipped_ = 0;
+  FrameResidual residual_;
+  MoverMask movers_;
+  Image<float> weights_;         // Of the frame, without what moves.
+  long long masked_ = 0;         // Pixels so far.
+  bool has_emitted_ = false;
   int first_unemitted_ = 0;
   int last_added_ = 0;
 };
