@@ -244,9 +244,23 @@ Eigen::Vector2d TruePrevious(const SimulationRecord& record, std::size_t t, cons
   return PixelFromGround(record.flight.exposures[t - 1].camera, record.flight.focal_px, o.width_px, o.height_px, ground);
 }
 
+// Linear coefficients less the identity in thousandths.
 struct FrameToFrame {
   std::vector<double> frame, a11, a12, a21, a22, error_px;
+  double coefficient_rms = 0.0;  // Difference of a coefficient from the simulated flight's.
 };
+
+// The affine map through what the simulated flight does with three corners of the ROI, linear part only.
+Eigen::Matrix2d TrueLinear(const Simulated& s, std::size_t t) {
+  const Eigen::Vector2d origin(s.roi.x0, s.roi.y0);
+  const double right = s.roi.width() - 1;
+  const double down = s.roi.height() - 1;
+  const Eigen::Vector2d mapped = TruePrevious(s.record, t, origin);
+  Eigen::Matrix2d linear;
+  linear.col(0) = (TruePrevious(s.record, t, origin + Eigen::Vector2d(right, 0.0)) - mapped) / right;
+  linear.col(1) = (TruePrevious(s.record, t, origin + Eigen::Vector2d(0.0, down)) - mapped) / down;
+  return linear;
+}
 
 FrameToFrame Compare(const Simulated& s, const std::vector<ChainEntry>& chain) {
   FrameToFrame found;
@@ -262,6 +276,7 @@ FrameToFrame Compare(const Simulated& s, const std::vector<ChainEntry>& chain) {
         largest = std::max(largest, (previous_from_current * u - TruePrevious(s.record, t, u)).norm());
       }
     }
+    found.coefficient_rms += 1e6 * (previous_from_current.linear - TrueLinear(s, t)).squaredNorm() / 4.0;
     found.frame.push_back(static_cast<double>(t));
     found.error_px.push_back(largest);
     found.a11.push_back(1e3 * (previous_from_current.linear(0, 0) - 1.0));
@@ -269,6 +284,7 @@ FrameToFrame Compare(const Simulated& s, const std::vector<ChainEntry>& chain) {
     found.a21.push_back(1e3 * previous_from_current.linear(1, 0));
     found.a22.push_back(1e3 * (previous_from_current.linear(1, 1) - 1.0));
   }
+  found.coefficient_rms = std::sqrt(found.coefficient_rms / static_cast<double>(std::max<std::size_t>(1, found.frame.size())));
   return found;
 }
 
@@ -287,6 +303,7 @@ Status MappingExperiment(const fs::path& out, const fs::path& scratch) {
       "  frame-to-frame corner error: median {:.4f}, largest {:.4f} px; below {:.2f} px from frame {:.0f} on (the paper: stable after less "
       "than 20)\n",
       sorted[sorted.size() / 2], sorted.back(), kStablePx, stable < found.frame.size() ? found.frame[stable] : NAN);
+  fmt::print("  linear coefficients: {:.4f} thousandths rms from the simulated flight's\n", found.coefficient_rms);
   fmt::print("  {:.2f} ms a frame, snapshots included (the paper: 20 s in 2008)\n", run.ms_per_frame);
   const ChainEntry& last = chain.back();
   const Image<float>& frame = s.frames[static_cast<std::size_t>(last.frame_index)].pixels;

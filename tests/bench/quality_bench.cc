@@ -67,7 +67,19 @@ struct Series {
 };
 
 // Methods in the order of their rows.
-enum Method { kBicubic, kWiener, kSingleMap, kShiftAndAdd, kShiftAndAddWiener, kBtvL1, kBatchMap, kEngine, kEngineFiltered, kMethodCount };
+enum Method {
+  kBicubic,
+  kWiener,
+  kSingleMap,
+  kShiftAndAdd,
+  kShiftAndAddWiener,
+  kBtvL1,
+  kBatchMap,
+  kLandweber,
+  kEngine,
+  kEngineFiltered,
+  kMethodCount
+};
 constexpr const char* kMethodNames[] = {"bicubic, one frame",
                                         "tuned Wiener, one frame",
                                         "tuned MAP, one frame",
@@ -75,6 +87,7 @@ constexpr const char* kMethodNames[] = {"bicubic, one frame",
                                         "the same + tuned Wiener",
                                         "OpenCV superres BTV-L1, tuned",
                                         "tuned batch MAP, true registration",
+                                        "the paper's scheme, trem LANDWEBER 1",
                                         "trem, default",
                                         "the same, filtered like the truth"};
 
@@ -118,14 +131,15 @@ Result<BenchScene> Natural(const Settings& s, const Image<float>& photograph, co
 double BtvScore(const BenchScene& scene, const BtvSettings& settings, double* seconds) {
   const BtvAnswer btv = RunBtv(scene, settings);
   *seconds = btv.seconds;
-  return std::max(ScoreAtBestShift(scene, btv.answer, 0.0, 0.0).db,
-                  ScoreAtBestShift(scene, testing::Filtered121(btv.answer), 0.0, 0.0).db);
+  return std::max(ScoreAtBestShift(scene, btv.answer, 0.0, 0.0).db, ScoreAtBestShift(scene, testing::Filtered121(btv.answer), 0.0, 0.0).db);
 }
 
 // The best for these scenes by --tune-btv, within what the frames allow.
 BtvSettings TunedBtv(int frames) {
   BtvSettings settings;
   settings.radius = std::min(4, (frames - 1) / 2);
+  settings.lambda = 0.003;
+  settings.tau = 6.0;
   return settings;
 }
 
@@ -152,6 +166,17 @@ void TuneBtv(const BenchScene& scene) {
 }
 #endif
 
+// The paper's scheme: a gradient step of the whole scene on every frame alone, in this engine. False where the engine has no such option.
+template <typename Options>
+bool ChoosePaperScheme(Options* options) {
+  if constexpr (requires { options->landweber_window; }) {
+    options->update = decltype(options->update)::kLandweber;
+    options->landweber_window = 1;
+    return true;
+  }
+  return false;
+}
+
 Status RunScene(const Settings& s, const BenchScene& scene, Table* table) {
 #ifdef TREM_BENCH_SUPERRES
   if (s.tune_btv) {
@@ -174,6 +199,10 @@ Status RunScene(const Settings& s, const BenchScene& scene, Table* table) {
 #endif
   if (scene.options.seed <= static_cast<std::uint64_t>(s.batch_seeds)) {
     (*table)[kBatchMap].Add(TunedMap(scene, scene.options.frame_count).db);
+  }
+  if (EngineOptions paper; ChoosePaperScheme(&paper)) {
+    TREM_ASSIGN_OR_RETURN(const EngineAnswer answer, RunEngine(scene, paper));
+    (*table)[kLandweber].Add(std::max(Score(scene, answer.answer), Score(scene, testing::Filtered121(answer.answer))));
   }
   TREM_ASSIGN_OR_RETURN(const EngineAnswer engine, RunEngine(scene, EngineOptions{}));
   (*table)[kEngine].Add(Score(scene, engine.answer));

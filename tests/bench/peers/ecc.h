@@ -9,8 +9,19 @@ struct EccAnswer {
   double seconds = 0.0;
 };
 
-// One cv::findTransformECC call: `now` registered to `before`, affine, from the motion that the engine is told, at most 50 iterations,
-// eps 1e-3, OpenCV's default smoothing (Gaussian of 5 px). Source: Evangelidis and Psarakis, IEEE Trans. PAMI 30(10), 2008.
-EccAnswer RegisterEcc(const FrameInput& before, const FrameInput& now);
+// When OpenCV's method stops, and its smoothing of both images (side of the Gaussian kernel; 1: none).
+struct EccSettings {
+  double eps = 1e-6;  // Of the correlation coefficient, from one iteration to the next.
+  int iterations_max = 50;
+  int smoothing_px = 1;
+};
+// Runs until it no longer moves: its best accuracy on these frames.
+inline constexpr EccSettings kConvergedEcc{};
+// OpenCV's default smoothing, ended as early as OpenCV's examples do at the most.
+inline constexpr EccSettings kHastyEcc{1e-3, 50, 5};
+
+// One cv::findTransformECC call: `now` registered to `before`, affine, from the motion that the engine is told; that motion when the call
+// gives up. Source: Evangelidis and Psarakis, IEEE Trans. PAMI 30(10), 2008.
+EccAnswer RegisterEcc(const FrameInput& before, const FrameInput& now, const EccSettings& settings);
 
 }  // namespace trem::bench
