@@ -7,12 +7,13 @@
 namespace trem {
 namespace {
 
-constexpr const char* kHead = R"(<!DOCTYPE html>
+constexpr const char* kHeadBeforeTitle = R"(<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Mosaic report</title>
+<title>)";
+constexpr const char* kHeadAfterTitle = R"(</title>
 <style>
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 1000px; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.6em; margin-bottom: 0; }
@@ -140,8 +141,10 @@ std::string HtmlEscaped(const std::string& text) {
   return escaped;
 }
 
+std::string HtmlPageStart(const std::string& title) { return kHeadBeforeTitle + HtmlEscaped(title) + kHeadAfterTitle; }
+
 std::string RenderReport(const ReportData& data) {
-  std::string html = kHead;
+  std::string html = HtmlPageStart("Mosaic report");
   html += "<h1>" + HtmlEscaped(data.sortie) + "</h1>\n";
   html += fmt::format("<p>{} of {} frames made a mosaic of {} x {} pixels at {:.4g} {} a pixel.</p>\n", data.registered_count,
                       data.frame_count, data.width, data.height, data.gsd, data.georeferenced ? "m" : "sensor px");

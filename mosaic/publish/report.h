@@ -63,6 +63,9 @@ struct ReportData {
 // A self-contained page: no scripts, no references to other files; pictures inline. Valid HTML 5, UTF-8. Same data, same bytes.
 std::string RenderReport(const ReportData& data);
 
+// The start of such a page up to and with <body>, with the styles that the reports share.
+std::string HtmlPageStart(const std::string& title);
+
 // `text` with & < > " ' replaced by entities, and control characters by spaces.
 std::string HtmlEscaped(const std::string& text);
 

@@ -40,13 +40,14 @@ constexpr long long kPixelsMax = 1LL << 29;
 constexpr int kNumberMax = 1'000'000'000;
 
 constexpr const char* kExamples =
-    "\nLeaves scene.tif (bands: intensity in grey levels of the source, information; its geotransform leads to sensor pixels of the "
-    "reference frame, from the frame's upper left corner, y down), scene_chain.csv (how every frame was registered) and "
-    "scene_comparison.png (left the reference frame, right the scene).\n"
+    "\nLeaves scene.tif (bands: intensity, its standard deviation, information, residual; its geotransform leads to sensor pixels of the "
+    "reference frame, from the frame's upper left corner, y down), scene_chain.csv (how every frame was registered), "
+    "scene_comparison.png (left the reference frame, right the scene) and scene_report.html (pictures and plots of all this).\n"
     "\nExamples:\n"
     "  trem enhance flight.ts -o scene.tif                                the centre of the image, the first frames\n"
     "  trem enhance frames/ --roi 40,30,151,151 --frames 0:60 -o scene.tif\n"
     "  trem enhance sortie.textproto --set tre.ratio=2 --reference 59 -o scene.tif\n"
+    "  trem enhance flight.ts --roi 322,190,72,60 --reference 20 --track -o car.tif   follow what is there in frame 20\n"
     "\nExit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 130 interrupted\n";
 
 struct FrameRange {
@@ -61,6 +62,7 @@ struct Arguments {
   std::optional<int> reference;
   std::vector<std::string> overrides;
   std::string output;
+  bool track = false;
   bool json = false;
   bool quiet = false;
 };
@@ -170,6 +172,11 @@ Status CheckArguments(const Arguments& arguments) {
                                       kRoiSideMin, kRoiSideMax));
     }
   }
+  if (arguments.track && arguments.frames && arguments.reference &&
+      (*arguments.reference < arguments.frames->begin || *arguments.reference >= arguments.frames->end)) {
+    return InvalidInput(fmt::format("--reference {}: the target is picked in one of the frames used, {}:{}", *arguments.reference,
+                                    arguments.frames->begin, arguments.frames->end));
+  }
   if (arguments.frames && arguments.frames->end - arguments.frames->begin > kFramesMax) {
     return InvalidInput(fmt::format("--frames: {} frames are more than one scene is made from; choose at most {}",
                                     arguments.frames->end - arguments.frames->begin, kFramesMax));
@@ -218,7 +225,8 @@ Result<Roi> ChooseRoi(const Arguments& arguments, const v1::Sortie& sortie, cons
 Result<FrameRange> ChooseFrames(const Arguments& arguments, const Roi& roi, const v1::SortieManifest& manifest,
                                 std::vector<std::string>* notes) {
   const int frame_count = manifest.frames_size();
-  const int affordable = static_cast<int>(std::min<long long>(kFramesMax, kPixelsMax / roi.area()));
+  // Following a target reads one frame at a time.
+  const int affordable = arguments.track ? kFramesMax : static_cast<int>(std::min<long long>(kFramesMax, kPixelsMax / roi.area()));
   if (arguments.frames) {
     const FrameRange& frames = *arguments.frames;
     if (frames.end > frame_count) {
@@ -233,7 +241,12 @@ Result<FrameRange> ChooseFrames(const Arguments& arguments, const Roi& roi, cons
     return frames;
   }
   if (manifest.spans_size() == 0) return InvalidInput(manifest.source_path() + " has no usable run of frames; see trem inspect");
-  FrameRange frames{static_cast<int>(manifest.spans(0).begin()), static_cast<int>(manifest.spans(0).end())};
+  const v1::FrameSpan* span = &manifest.spans(0);
+  for (const v1::FrameSpan& other : manifest.spans()) {
+    const std::uint32_t wanted = static_cast<std::uint32_t>(arguments.reference.value_or(0));
+    if (arguments.track && arguments.reference && other.begin() <= wanted && wanted < other.end()) span = &other;
+  }
+  FrameRange frames{static_cast<int>(span->begin()), static_cast<int>(span->end())};
   if (frames.end - frames.begin >= affordable) {
     frames.end = frames.begin + affordable;
     notes->push_back(fmt::format("only frames {}:{} were used; choose others with --frames", frames.begin, frames.end));
@@ -241,9 +254,23 @@ Result<FrameRange> ChooseFrames(const Arguments& arguments, const Roi& roi, cons
   return frames;
 }
 
+// The frame in which the target was picked.
+Result<int> ChooseTargetFrame(const Arguments& arguments, const FrameRange& frames, const v1::SortieManifest& manifest) {
+  if (!arguments.reference) {
+    for (int k = frames.begin; k < frames.end; ++k) {
+      if (manifest.frames(k).state() == v1::FRAME_USABLE) return k;
+    }
+    return InvalidInput(fmt::format("--frames {}:{}: none of these frames is usable; see trem inspect", frames.begin, frames.end));
+  }
+  if (*arguments.reference >= frames.begin && *arguments.reference < frames.end) return *arguments.reference;
+  return InvalidInput(fmt::format("--reference {}: the target is picked in one of the frames used, {}:{}; choose others with --frames",
+                                  *arguments.reference, frames.begin, frames.end));
+}
+
 struct Outcome {
   Roi roi;
   FrameRange frames;
+  bool target = false;
   EnhanceSummary summary;
 };
 
@@ -261,6 +288,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, ingested.outputs(0), &manifest));
 
   Outcome outcome;
+  outcome.target = arguments.track;
   std::vector<std::string> notes;
   for (const v1::Note& note : manifest.notes()) {
     if (note.severity() == v1::WARNING || note.code() == "resolution_ceiling" || note.code() == "psf_estimate") notes.push_back(note.message());
@@ -276,13 +304,19 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   *enhance.mutable_enhance()->mutable_roi_in_sensor() = ToProto(outcome.roi);
   enhance.mutable_enhance()->set_frame_begin(static_cast<std::uint32_t>(outcome.frames.begin));
   enhance.mutable_enhance()->set_frame_end(static_cast<std::uint32_t>(outcome.frames.end));
+  enhance.mutable_enhance()->set_uncertainty(true);
+  std::optional<int> reference = arguments.reference;
+  if (arguments.track) {
+    TREM_ASSIGN_OR_RETURN(reference, ChooseTargetFrame(arguments, outcome.frames, manifest));
+    enhance.mutable_enhance()->set_target_picked_in_frame(static_cast<std::uint32_t>(*reference));
+  }
   TREM_ASSIGN_OR_RETURN(const v1::TaskResult enhanced, RunWithProgress("enhancing", arguments.quiet, store, enhance));
   TREM_CHECK(enhanced.outputs_size() >= 1);
   for (const v1::Note& note : enhanced.notes()) notes.push_back(note.message());
   v1::WindowResult window;
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, enhanced.outputs(0), &window));
   const EnhancedWindow made{&manifest, &window, &store, static_cast<int>(ingest.sortie().tre().ratio())};
-  TREM_ASSIGN_OR_RETURN(outcome.summary, PublishEnhancedScene(made, arguments.reference, arguments.output));
+  TREM_ASSIGN_OR_RETURN(outcome.summary, PublishEnhancedScene(made, reference, arguments.output));
   outcome.summary.notes.insert(outcome.summary.notes.begin(), notes.begin(), notes.end());
   return outcome;
 }
@@ -296,6 +330,7 @@ void PrintJson(const Outcome& outcome) {
                     {"registered", s.registered_count},
                     {"lost", s.lost_count},
                     {"skipped", s.skipped_count}};
+  json["target"] = outcome.target;
   json["segments"] = s.segment_count;
   json["reference"] = {{"index", s.reference_index}, {"frame", s.reference_name}};
   json["noise_sigma"] = s.noise_sigma;
@@ -309,21 +344,28 @@ void PrintSummary(const Outcome& outcome) {
   fmt::print("{}: ROI {} of frames {}:{}, {} of {} registered ({} lost, {} skipped), reference frame {} ({})\n", s.outputs[0].string(),
              ToString(outcome.roi), outcome.frames.begin, outcome.frames.end, s.registered_count, s.frame_count, s.lost_count,
              s.skipped_count, s.reference_index, s.reference_name);
-  fmt::print("beside it: {}, {}\n", s.outputs[1].filename().string(), s.outputs[2].filename().string());
+  fmt::print("beside it: {}, {}, {}\n", s.outputs[1].filename().string(), s.outputs[2].filename().string(),
+             s.outputs[3].filename().string());
 }
 
 void Declare(CLI::App* app, Arguments* arguments) {
   app->add_option("SORTIE", arguments->sortie, "A video, a folder or glob of images, or a spec (.textproto, .json)")->required();
   app->add_option("-o,--output", arguments->output, "The scene to write, *.tif; its siblings go beside it")->required();
-  app->add_option_function<std::string>(
-         "--roi", [arguments](const std::string& text) { SetRoi(text, arguments); },
-         "x,y,width,height in sensor pixels, fixed in the sensor. Default: the image's centre, windows.roi_px a side")
-      ->type_name("X,Y,W,H");
+  CLI::Option* const roi =
+      app->add_option_function<std::string>(
+             "--roi", [arguments](const std::string& text) { SetRoi(text, arguments); },
+             "x,y,width,height in sensor pixels: fixed in the sensor, or with --track a target in the reference frame. Default: the image's "
+             "centre, windows.roi_px a side")
+          ->type_name("X,Y,W,H");
+  app->add_flag("--track", arguments->track,
+                "Follow the target that --roi frames in the reference frame, forwards and backwards, and pile all frames up on it")
+      ->needs(roi);
   app->add_option_function<std::string>(
          "--frames", [arguments](const std::string& text) { SetFrames(text, arguments); },
          "first:end, counted from 0, end not included. Default: all up to the first cut or gap")
       ->type_name("A:B");
-  app->add_option("--reference", arguments->reference, "Index of the frame whose pixels the scene is related to. Default: the last one")
+  app->add_option("--reference", arguments->reference, "Index of the frame whose pixels the scene is related to. Default: the last one; with --track, the "
+                  "frame in which the target was picked, by default the first one")
       ->check(CLI::Range(0, kNumberMax))
       ->type_name("N");
   app->add_option("--set", arguments->overrides, "Change a field of the spec, for example tre.ratio=2; may be repeated")
@@ -337,13 +379,8 @@ void Declare(CLI::App* app, Arguments* arguments) {
 }  // namespace
 
 int RunEnhanceCommand(int argc, char** argv) {
-  if (std::any_of(argv + std::min(argc, 1), argv + argc, [](const char* text) { return std::string_view(text) == "--track"; })) {
-    fmt::print(stderr,
-               "trem enhance: --track: a target cannot be followed; so far only a ROI fixed in the sensor (--roi) can be enhanced\n");
-    return kExitUsage;
-  }
   Arguments arguments;
-  CLI::App app("Enhances the resolution of one ROI, fixed in the sensor, from many frames.", "trem enhance");
+  CLI::App app("Enhances the resolution of one ROI from many frames: fixed in the sensor, or following a target (--track).", "trem enhance");
   Declare(&app, &arguments);
   try {
     app.parse(argc, argv);

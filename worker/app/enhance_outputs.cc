@@ -5,17 +5,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 
 #include "mosaic/base/file.h"
-#include "mosaic/publish/chain_csv.h"
 #include "mosaic/publish/picture.h"
 #include "mosaic/raster/geotiff.h"
 #include "mosaic/raster/scene_raster.h"
 #include "proto/codec/convert.h"
+#include "worker/app/enhance_chain.h"
+#include "worker/app/enhance_report.h"
+#include "worker/app/published_scene.h"
 #include "worker/sensor/bicubic.h"
 #include "worker/sortie/frame_reader.h"
-#include "worker/tasks/outcome_name.h"
 
 namespace trem {
 namespace {
@@ -30,21 +30,6 @@ constexpr int kGapPx = 6;
 constexpr double kStretchTail = 0.003;
 // Part of the reference frame's ROI that the scene should show; less is worth a note.
 constexpr double kCoverMin = 0.5;
-
-// The scene that is published and the frame that it is related to.
-struct Choice {
-  const v1::Segment* segment = nullptr;
-  const v1::EmittedScene* scene = nullptr;
-  const v1::ChainView* reference = nullptr;
-  PlanarMap pixel_from_sensor;  // Pixels of the scene raster from sensor pixels of the reference frame.
-};
-
-// Source grey level = offset + scale * internal intensity.
-struct GreyScale {
-  double offset = 0.0;
-  double scale = 1.0;
-  double Source(double internal) const { return offset + scale * internal; }
-};
 
 // "3-7, 9, 12-20".
 std::string RangesOf(const v1::Segment& segment) {
@@ -65,15 +50,8 @@ Status NothingEnhanced(const v1::WindowResult& window) {
                             window.frame_end(), why.empty() ? "" : ": the first one ", why));
 }
 
-Result<PlanarMap> PixelFromSensor(const v1::ChainView& view, const v1::EmittedScene& scene) {
-  TREM_ASSIGN_OR_RETURN(const PlanarMap scene_from_sensor, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
-  Affine pixel_from_scene;
-  pixel_from_scene.offset = -Eigen::Vector2d(scene.roi_in_scene().x0(), scene.roi_in_scene().y0());
-  return PlanarMap(pixel_from_scene) * scene_from_sensor;
-}
-
-Result<Choice> Choose(const v1::WindowResult& window, std::optional<int> reference) {
-  Choice choice;
+Result<PublishedScene> Choose(const v1::WindowResult& window, std::optional<int> reference) {
+  PublishedScene choice;
   for (const v1::Segment& segment : window.segments()) {
     if (segment.scenes_size() > 0 && segment.chain_size() > 0) choice.segment = &segment;
   }
@@ -95,67 +73,30 @@ Result<Choice> Choose(const v1::WindowResult& window, std::optional<int> referen
   return choice;
 }
 
-FloatRaster SceneFile(const EnhancedWindow& enhanced, const Choice& choice, const SceneRaster& scene, const GreyScale& grey) {
+FloatRaster SceneFile(const EnhancedWindow& enhanced, const PublishedScene& choice, const SceneRaster& scene, const GreyScale& grey) {
   FloatRaster raster;
-  Image<float> intensity(scene.intensity.width(), scene.intensity.height(), kNan);
-  for (std::size_t i = 0; i < intensity.pixels().size(); ++i) {
-    if (scene.information.pixels()[i] > 0.0F) intensity.pixels()[i] = static_cast<float>(grey.Source(scene.intensity.pixels()[i]));
-  }
-  raster.bands.push_back({"intensity", std::move(intensity)});
+  const auto seen = [&](const Image<float>& band, double offset) {
+    Image<float> out(scene.information.width(), scene.information.height(), kNan);
+    for (std::size_t i = 0; i < out.pixels().size(); ++i) {
+      if (scene.information.pixels()[i] > 0.0F && !band.empty()) out.pixels()[i] = static_cast<float>(offset + grey.scale * band.pixels()[i]);
+    }
+    return out;
+  };
+  raster.bands.push_back({"intensity", seen(scene.intensity, grey.offset)});
+  raster.bands.push_back({"standard deviation", seen(scene.sigma, 0.0)});
   raster.bands.push_back({"information", scene.information});
+  raster.bands.push_back({"residual", seen(scene.residual, 0.0)});
   raster.nodata = std::numeric_limits<double>::quiet_NaN();
   // A geotransform is affine; of a projective reference view it is the one that agrees at the ROI's centre.
-  const Roi seen = FromProto(enhanced.window->roi_in_sensor());
-  const Eigen::Vector2d centre(0.5 * (seen.x0 + seen.x1 - 1), 0.5 * (seen.y0 + seen.y1 - 1));
+  const Roi roi = FromProto(enhanced.window->roi_in_sensor());
+  const Eigen::Vector2d centre(0.5 * (roi.x0 + roi.x1 - 1), 0.5 * (roi.y0 + roi.y1 - 1));
   raster.geotransform = GeoTransformFromAffine(choice.pixel_from_sensor.LinearisedAt(centre).Inverse());
   const std::uint32_t index = choice.reference->frame_index();
-  const Roi roi = FromProto(enhanced.window->roi_in_sensor());
   raster.metadata["REFERENCE_FRAME"] = enhanced.manifest->frames(static_cast<int>(index)).name();
   raster.metadata["REFERENCE_FRAME_INDEX"] = std::to_string(index);
   raster.metadata["ROI"] = fmt::format("{},{},{},{}", roi.x0, roi.y0, roi.width(), roi.height());
   raster.metadata["FRAMES"] = fmt::format("{}:{}", enhanced.window->frame_begin(), enhanced.window->frame_end());
   return raster;
-}
-
-// Largest standard deviation of a corner coordinate [px]: the diagonal of the upper triangle of the 6 x 6 or 8 x 8 covariance.
-double CornerSigma(const v1::ChainView& view) {
-  double largest = 0.0;
-  int index = 0;
-  const int parameters = view.corner_covariance_px2_size() == 36 ? 8 : 6;
-  for (int row = 0; row < parameters; index += parameters - row, ++row) {
-    if (index < view.corner_covariance_px2_size()) largest = std::max(largest, view.corner_covariance_px2(index));
-  }
-  return std::sqrt(largest);
-}
-
-// The chain in grey levels of the source and, for the published segment, in pixels of the published scene.
-Result<std::string> ChainCsv(const EnhancedWindow& enhanced, const Choice& choice, const GreyScale& grey) {
-  std::string csv =
-      "frame_index,frame,status,reason,segment,scene_from_sensor_11,scene_from_sensor_12,scene_from_sensor_13,scene_from_sensor_21,"
-      "scene_from_sensor_22,scene_from_sensor_23,scene_from_sensor_31,scene_from_sensor_32,gain,offset,residual_rms,correlation,overlap,corner_sigma_px\n";
-  std::multimap<std::uint32_t, std::string> fits;
-  for (const v1::Segment& segment : enhanced.window->segments()) {
-    for (const v1::ChainView& view : segment.chain()) {
-      TREM_ASSIGN_OR_RETURN(PlanarMap a, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
-      if (&segment == choice.segment) {
-        TREM_ASSIGN_OR_RETURN(a, PixelFromSensor(view, *choice.scene));
-      }
-      const double offset = grey.scale * view.offset() + grey.offset * (1.0 - view.gain());
-      fits.emplace(view.frame_index(),
-                   fmt::format("{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}", segment.segment_id(), a.linear(0, 0), a.linear(0, 1), a.offset(0),
-                               a.linear(1, 0), a.linear(1, 1), a.offset(1), a.perspective(0), a.perspective(1), view.gain(), offset, grey.scale * view.residual_rms(),
-                               view.correlation(), view.overlap(), CornerSigma(view)));
-    }
-  }
-  for (const v1::FrameOutcome& frame : enhanced.window->frames()) {
-    const std::string start =
-        fmt::format("{},{},{},{}", frame.frame_index(), CsvField(enhanced.manifest->frames(static_cast<int>(frame.frame_index())).name()),
-                    OutcomeName(frame.outcome()), CsvField(frame.reason()));
-    const auto [begin, end] = fits.equal_range(frame.frame_index());
-    if (begin == end) csv += start + std::string(15, ',') + "\n";
-    for (auto fit = begin; fit != end; ++fit) csv += start + "," + fit->second + "\n";
-  }
-  return csv;
 }
 
 // The scene at `pixel`, NaN where a cell that it is made of was never seen.
@@ -174,7 +115,7 @@ struct Comparison {
   double cover = 0.0;    // Part of the ROI that the scene shows.
 };
 
-Comparison Compare(const EnhancedWindow& enhanced, const Choice& choice, const SceneRaster& scene, const GreyScale& grey,
+Comparison Compare(const EnhancedWindow& enhanced, const PublishedScene& choice, const SceneRaster& scene, const GreyScale& grey,
                    const Image<float>& frame) {
   const Roi roi = FromProto(enhanced.window->roi_in_sensor());
   const int width = roi.width() * enhanced.ratio;
@@ -212,7 +153,27 @@ void CountOutcomes(const v1::WindowResult& window, EnhanceSummary* summary) {
   }
 }
 
-void AddNotes(const EnhancedWindow& enhanced, const Choice& choice, double cover, EnhanceSummary* summary) {
+// "frames 30-39 lost: why" for the first runs of lost frames; frames of one run have the reason of its first.
+void AddLostRuns(const v1::WindowResult& window, EnhanceSummary* summary) {
+  constexpr int kRunsMax = 8;
+  int runs = 0;
+  for (int i = 0; i < window.frames_size(); ++i) {
+    if (window.frames(i).outcome() != v1::LOST) continue;
+    int last = i;
+    while (last + 1 < window.frames_size() && window.frames(last + 1).outcome() == v1::LOST) ++last;
+    const std::uint32_t from = window.frames(i).frame_index();
+    const std::uint32_t to = window.frames(last).frame_index();
+    if (++runs <= kRunsMax) {
+      summary->notes.push_back((last > i ? fmt::format("frames {}-{} lost: ", from, to) : fmt::format("frame {} lost: ", from)) +
+                               window.frames(i).reason());
+    }
+    i = last;
+  }
+  if (runs > kRunsMax) summary->notes.push_back(fmt::format("{} more runs of lost frames: see the chain", runs - kRunsMax));
+}
+
+void AddNotes(const EnhancedWindow& enhanced, const PublishedScene& choice, double cover, EnhanceSummary* summary) {
+  AddLostRuns(*enhanced.window, summary);
   const int scene_count = choice.segment->scenes_size();
   if (enhanced.window->segments_size() > 1) {
     summary->notes.push_back(
@@ -234,14 +195,21 @@ void AddNotes(const EnhancedWindow& enhanced, const Choice& choice, double cover
 
 }  // namespace
 
+Result<PlanarMap> PixelFromSensor(const v1::ChainView& view, const v1::EmittedScene& scene) {
+  TREM_ASSIGN_OR_RETURN(const PlanarMap scene_from_sensor, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
+  Affine pixel_from_scene;
+  pixel_from_scene.offset = -Eigen::Vector2d(scene.roi_in_scene().x0(), scene.roi_in_scene().y0());
+  return PlanarMap(pixel_from_scene) * scene_from_sensor;
+}
+
 std::vector<fs::path> EnhanceOutputPaths(const fs::path& scene_path) {
   const fs::path folder = scene_path.parent_path();
   const std::string stem = scene_path.stem().string();
-  return {scene_path, folder / (stem + "_chain.csv"), folder / (stem + "_comparison.png")};
+  return {scene_path, folder / (stem + "_chain.csv"), folder / (stem + "_comparison.png"), folder / (stem + "_report.html")};
 }
 
 Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std::optional<int> reference, const fs::path& scene_path) {
-  TREM_ASSIGN_OR_RETURN(const Choice choice, Choose(*enhanced.window, reference));
+  TREM_ASSIGN_OR_RETURN(const PublishedScene choice, Choose(*enhanced.window, reference));
   TREM_ASSIGN_OR_RETURN(const fs::path stored, enhanced.store->Locate(FromProto(choice.scene->raster())));
   TREM_ASSIGN_OR_RETURN(const SceneRaster scene, ReadSceneRaster(stored, kScenePixelsMax));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(*enhanced.manifest));
@@ -252,9 +220,10 @@ Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std:
   const Comparison comparison = Compare(enhanced, choice, scene, grey, frame);
   TREM_ASSIGN_OR_RETURN(const std::string png,
                         GreyPng(comparison.picture, QuantileRange(comparison.picture, kStretchTail, 1.0 - kStretchTail)));
-  TREM_ASSIGN_OR_RETURN(const std::string csv, ChainCsv(enhanced, choice, grey));
+  TREM_ASSIGN_OR_RETURN(const std::string csv, EnhanceChainCsv(enhanced, choice, grey));
+  const FloatRaster file = SceneFile(enhanced, choice, scene, grey);
   const fs::path temporary = enhanced.store->NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteFloatRaster(temporary, SceneFile(enhanced, choice, scene, grey)));
+  TREM_RETURN_IF_ERROR(WriteFloatRaster(temporary, file));
 
   EnhanceSummary summary;
   summary.reference_index = index;
@@ -263,8 +232,10 @@ Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std:
   summary.outputs = EnhanceOutputPaths(scene_path);
   CountOutcomes(*enhanced.window, &summary);
   AddNotes(enhanced, choice, comparison.cover, &summary);
+  TREM_ASSIGN_OR_RETURN(const std::string report, EnhanceReport(enhanced, choice, grey, file, png, summary));
   TREM_RETURN_IF_ERROR(WriteFileAtomically(summary.outputs[1], csv));
   TREM_RETURN_IF_ERROR(WriteFileAtomically(summary.outputs[2], png));
+  TREM_RETURN_IF_ERROR(WriteFileAtomically(summary.outputs[3], report));
   TREM_RETURN_IF_ERROR(PublishFile(temporary, summary.outputs[0]));
   return summary;
 }

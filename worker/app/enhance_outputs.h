@@ -32,15 +32,17 @@ struct EnhanceSummary {
   std::vector<std::string> notes;
 };
 
-// Where the files go: STEM.tif as asked for, STEM_chain.csv and STEM_comparison.png beside it.
+// Where the files go: STEM.tif as asked for, STEM_chain.csv, STEM_comparison.png and STEM_report.html beside it.
 std::vector<std::filesystem::path> EnhanceOutputPaths(const std::filesystem::path& scene_path);
 
 // Publishes the last scene of the window's last segment, atomically, the scene itself last:
 //
-//   scene        bands intensity [grey levels of the source; NaN: never seen] and information [about how many frames]. Its geotransform
-//                maps to sensor pixels of the reference frame, corner-based: x right, y down, (0, 0) the frame's upper left corner.
-//   chain        one row per frame and segment: status, scene_from_sensor, gain, offset, residuals
+//   scene        bands intensity, standard deviation of its error, information [about how many frames] and robust rms of the residuals
+//                [grey levels of the source; NaN: never seen]. Its geotransform maps to sensor pixels of the reference frame,
+//                corner-based: x right, y down, (0, 0) the frame's upper left corner.
+//   chain        one row per frame and segment: status, scene_from_sensor, gain, offset, residuals, covariances
 //   comparison   left the reference frame's ROI enlarged bicubically, right the scene in the same view, in the same stretch of grey
+//   report       a self-contained page with these pictures, figures, and charts of the chain
 //
 // `reference` is a manifest index (none: the last frame of that segment). kInvalidInput names the frames to choose from when it is not
 // registered there; kFailed when the window has no scene at all.

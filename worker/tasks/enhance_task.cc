@@ -9,27 +9,17 @@
 #include "worker/sortie/frame_reader.h"
 #include "worker/tasks/engine_options_of.h"
 #include "worker/tasks/pixel_use.h"
+#include "worker/tasks/target_frames.h"
 #include "worker/tasks/task.h"
 #include "worker/tasks/task_inputs.h"
 #include "worker/tre/mapping_engine.h"
+#include "worker/tre/target_engine.h"
 
 namespace trem {
 namespace {
 
 // Part of a window's progress that reading its frames takes, about.
 constexpr double kReadingPart = 0.2;
-// Least correlation of a whole-image registration that is believed as where a ROI has gone.
-constexpr double kMotionCorrelationMin = 0.3;
-
-const char* ReasonOf(v1::FrameState state) {
-  switch (state) {
-    case v1::FRAME_UNREADABLE: return "could not be read";
-    case v1::FRAME_WRONG_SIZE: return "has another size than the sortie's frames";
-    case v1::FRAME_BLANK: return "is blank";
-    case v1::FRAME_REPEATED: return "repeats the frame before it";
-    default: return "is not usable";
-  }
-}
 
 Status CheckWindow(const v1::EnhanceParams& params, const v1::SortieManifest& manifest) {
   const Roi roi = FromProto(params.roi_in_sensor());
@@ -59,16 +49,14 @@ Result<std::vector<FrameInput>> ReadFrames(const v1::EnhanceParams& params, cons
     FrameInput frame;
     frame.frame_index = static_cast<int>(index);
     if (record.state() != v1::FRAME_USABLE) {
-      frame.skip_reason = ReasonOf(record.state());
+      frame.skip_reason = UnusableReason(record.state());
     } else if (masked) {
       frame.skip_reason = "nearly all of the ROI is masked";
     } else {
       TREM_ASSIGN_OR_RETURN(const Image<float> whole, reader->Read(static_cast<int>(index)));
       pixel_use.Take(whole, roi, &frame);
     }
-    if (record.previous_from_current_size() > 0 && record.motion_correlation() >= kMotionCorrelationMin) {
-      TREM_ASSIGN_OR_RETURN(frame.previous_from_current, AffineFromProto(record.previous_from_current(), "previous_from_current"));
-    }
+    TREM_ASSIGN_OR_RETURN(frame.previous_from_current, BelievedMotion(record));
     frames.push_back(std::move(frame));
   }
   return frames;
@@ -91,6 +79,7 @@ void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
   view->set_residual_rms(registration.residual_rms);
   view->set_correlation(registration.correlation);
   view->set_overlap(registration.overlap);
+  if (entry.roi) *view->mutable_roi_in_sensor() = ToProto(*entry.roi);
 }
 
 v1::OutcomeCode CodeOf(FrameReport::Outcome outcome) {
@@ -110,7 +99,7 @@ class SnapshotWriter {
 
   Status Write(int segment_id, const SceneSnapshot& snapshot) {
     const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-    TREM_RETURN_IF_ERROR(WriteSceneRaster(path, snapshot.intensity, snapshot.information));
+    TREM_RETURN_IF_ERROR(WriteSceneRaster(path, {snapshot.intensity, snapshot.information, snapshot.sigma, snapshot.residual, {}}));
     TREM_ASSIGN_OR_RETURN(const ArtefactRef ref, store_.PutFile("scene-" + std::to_string(snapshot.scene_id) + ".tif", path));
     v1::EmittedScene scene;
     scene.set_scene_id(static_cast<std::uint32_t>(snapshot.scene_id));
@@ -164,6 +153,27 @@ void AddNotes(const v1::EnhanceParams& params, const v1::SortieManifest& manifes
   }
 }
 
+Result<EngineResult> MapWindow(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest, const EngineOptions& options,
+                               const SnapshotSink& sink, const TaskContext& context) {
+  TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(params, sensor, manifest, context));
+  const auto progress = [&](double fraction) { return context.progress(kReadingPart + (1.0 - kReadingPart) * fraction); };
+  return RunMapping(FromProto(params.roi_in_sensor()), frames, options, sink, progress);
+}
+
+Result<EngineResult> FollowTarget(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest, const EngineOptions& options,
+                                  const SnapshotSink& sink, const TaskContext& context) {
+  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest));
+  TREM_ASSIGN_OR_RETURN(const PixelUse pixel_use, PixelUse::Of(sensor, manifest));
+  TargetFrameReader frames(manifest, static_cast<int>(params.frame_begin()), pixel_use, reader.get());
+  TargetRequest request;
+  request.roi_in_sensor = FromProto(params.roi_in_sensor());
+  request.reference = static_cast<int>(params.target_picked_in_frame());
+  request.frame_begin = static_cast<int>(params.frame_begin());
+  request.frame_end = static_cast<int>(params.frame_end());
+  request.sensor = {0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
+  return RunTarget(request, [&frames](int index) { return frames.Read(index); }, options, sink, context.progress);
+}
+
 }  // namespace
 
 Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContext& context) {
@@ -172,12 +182,14 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, &manifest));
   TREM_RETURN_IF_ERROR(CheckWindow(spec.enhance(), manifest));
-  TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(spec.enhance(), spec.sortie().sensor(), manifest, context));
-
   SnapshotWriter writer(*context.store);
   const SnapshotSink sink = [&](int segment_id, const SceneSnapshot& snapshot) { return writer.Write(segment_id, snapshot); };
-  const auto progress = [&](double fraction) { return context.progress(kReadingPart + (1.0 - kReadingPart) * fraction); };
-  Result<EngineResult> engine = RunMapping(FromProto(spec.enhance().roi_in_sensor()), frames, EngineOptionsOf(spec, manifest), sink, progress);
+  EngineOptions options = EngineOptionsOf(spec, manifest);
+  options.uncertainty = spec.enhance().uncertainty();
+  const v1::Sensor& sensor = spec.sortie().sensor();
+  Result<EngineResult> engine = spec.enhance().has_target_picked_in_frame()
+                                    ? FollowTarget(spec.enhance(), sensor, manifest, options, sink, context)
+                                    : MapWindow(spec.enhance(), sensor, manifest, options, sink, context);
   if (!engine.ok()) return engine.status().WithPrefix("window " + std::to_string(spec.enhance().window_id()));
 
   v1::TaskResult result;

@@ -30,7 +30,10 @@ struct EngineOptions {
   int threads = 1;                // For one ROI. Workers are one process a core and keep 1; the result does not depend on it.
   Correction detector_bias = Correction::kAuto;  // Fixed pattern and bad pixels of the detector.
   Correction mover_mask = Correction::kAuto;     // What moves in the scene; kAuto: not masked.
-  std::uint64_t seed = 0;         // Names the random streams of HINTS.
+  // Whether snapshots carry residuals and a standard deviation per cell. Costs a pass over each frame, and at a snapshot about as much as
+  // 60 frames.
+  bool uncertainty = false;
+  std::uint64_t seed = 0;         // Names the random streams of HINTS and of the draws behind standard deviations.
 };
 
 }  // namespace trem

@@ -5,6 +5,7 @@
 
 #include "mosaic/base/image.h"
 #include "mosaic/geometry/affine.h"
+#include "mosaic/geometry/roi.h"
 
 namespace trem {
 
@@ -12,6 +13,7 @@ namespace trem {
 struct FrameInput {
   int frame_index = 0;      // In the manifest; reported back.
   std::string skip_reason;  // Not empty: the frame cannot be used, and why.
+  std::optional<Roi> roi;   // Where in the sensor `pixels` lie; none: the window's ROI.
   Image<float> pixels;      // roi.width() x roi.height(), internal grey levels; NaN: no measurement.
   Image<float> weights;     // See Observation::weights; empty: all 1.
   // Sensor pixels of this frame to those of the previous usable one, from the registration of whole images; nothing when that failed.

@@ -274,7 +274,9 @@ class MappingRun {
   int scene_count_ = 0;
 };
 
-Status CheckOptions(const Roi& roi, const EngineOptions& options) {
+}  // namespace
+
+Status CheckEngine(const Roi& roi, const EngineOptions& options) {
   if (roi.width() < 16 || roi.height() < 16) {
     return InvalidInput("ROI " + ToString(roi) + " is too small to register; at least 16 x 16 sensor pixels are needed");
   }
@@ -283,11 +285,9 @@ Status CheckOptions(const Roi& roi, const EngineOptions& options) {
   return {};
 }
 
-}  // namespace
-
 Result<EngineResult> RunMapping(const Roi& roi_in_sensor, std::span<const FrameInput> frames, const EngineOptions& options,
                                 const SnapshotSink& sink, const std::function<bool(double)>& progress) {
-  TREM_RETURN_IF_ERROR(CheckOptions(roi_in_sensor, options));
+  TREM_RETURN_IF_ERROR(CheckEngine(roi_in_sensor, options));
   TREM_ASSIGN_OR_RETURN(SeparablePsf psf, MakePsf(options.psf, options.ratio));
   return MappingRun(roi_in_sensor, frames, options, std::move(psf), sink).Run(progress);
 }

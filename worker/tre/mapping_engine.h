@@ -16,6 +16,7 @@ namespace trem {
 struct ChainEntry {
   int frame_index = 0;
   Registration registration;
+  std::optional<Roi> roi = std::nullopt;  // The frame's ROI, when it is not the window's: its corners are those of the covariance.
 };
 
 // A snapshot of the scene, to be composited.
@@ -24,6 +25,9 @@ struct SceneSnapshot {
   Roi extent;                   // Cells of the segment's scene plane.
   Image<float> intensity;       // Internal grey levels; 0 where never seen.
   Image<float> information;     // About how many frames have seen each cell; 0: never.
+  // With EngineOptions::uncertainty, else empty; internal grey levels, 0 where never seen.
+  Image<float> sigma;           // Standard deviation of the intensity's error, see SceneSigma.
+  Image<float> residual;        // Robust rms of the frames' residuals.
   int frame_begin = 0;          // Manifest frames that were added since the snapshot before: [frame_begin, frame_end).
   int frame_end = 0;
 };
@@ -58,6 +62,9 @@ struct EngineResult {
 
 // Receives every snapshot as soon as it is made, so that only one is in memory.
 using SnapshotSink = std::function<Status(int segment_id, const SceneSnapshot& snapshot)>;
+
+// Whether TRE can run on such a ROI with such options; kInvalidInput says what to change.
+Status CheckEngine(const Roi& roi, const EngineOptions& options);
 
 // Mapping mode: a ROI fixed in the sensor; the scene moves under it by whole cells. For each frame: register to the scene's
 // prediction, splat, improve the scene. A segment is a run of frames on one scene plane; it ends, and the next begins a few frames

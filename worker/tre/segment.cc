@@ -71,13 +71,17 @@ std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
 
 }  // namespace
 
-Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id)
+Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id, Extent extent)
     : roi_(roi),
       options_(options),
       segment_id_(segment_id),
+      extent_(extent),
       margin_(psf.radius() + 3),
       update_(Blur(psf), UpdateOptions(options)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
+      prior_(UpdateOptions(options).prior),
+      draws_blur_(psf),
+      residuals_(buffer_.extent),
       movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
   const int parameters = ParameterCount(options.view_model);
@@ -100,6 +104,7 @@ Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
 
 void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& region) {
   const PlanarMap sensor_from_scene = view.scene_from_sensor.Inverse();
+  const Roi roi = RoiOf(frame);
   const Roi inner = buffer_.InBuffer(region);
   continued_ = frame.pixels;
   const bool holes = ContinueHoles(&continued_);
@@ -109,9 +114,9 @@ void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& r
     for (int x = inner.x0; x < inner.x1; ++x) {
       if (buffer_.filled.at(x, y) == SceneBuffer::kMeasured) continue;
       const Eigen::Vector2d sensor = sensor_from_scene * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);
-      const double u = std::clamp(sensor.x() - roi_.x0, 1.0, x_max);
-      const double v = std::clamp(sensor.y() - roi_.y0, 1.0, y_max);
-      bool inside = std::abs(sensor.x() - roi_.x0 - u) <= 1.5 && std::abs(sensor.y() - roi_.y0 - v) <= 1.5;
+      const double u = std::clamp(sensor.x() - roi.x0, 1.0, x_max);
+      const double v = std::clamp(sensor.y() - roi.y0, 1.0, y_max);
+      bool inside = std::abs(sensor.x() - roi.x0 - u) <= 1.5 && std::abs(sensor.y() - roi.y0 - v) <= 1.5;
       if (holes) inside = inside && !std::isnan(frame.pixels.at(static_cast<int>(u + 0.5), static_cast<int>(v + 0.5)));
       const float source = inside ? SceneBuffer::kMeasured : SceneBuffer::kContinued;
       if (buffer_.filled.at(x, y) == source) continue;
@@ -178,7 +183,7 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
 }
 
 void Segment::Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations) {
-  const Roi region = Footprint(view.scene_from_sensor);
+  const Roi region = RegionOf(view);
   FillUnseen(frame, view, region);
   update_.Predict(region, &buffer_);
   update_.AddFrame(observation, view, region, &buffer_);
@@ -188,14 +193,21 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
     for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, lambda, &buffer_);
   }
   update_.Iterate(region, iterations, lambda, &buffer_);
+  // The first frame is fitted by a scene of its own.
+  if (options_.uncertainty && frame_count_ > 0) {
+    residuals_.Add(observation, view, InformationOptions{}.huber_sigmas, buffer_);
+  }
   last_region_ = region;
   ++frame_count_;
-  last_added_ = frame.frame_index;
+  // A target is followed forwards and then backwards.
+  first_unemitted_ = std::min(first_unemitted_, frame.frame_index);
+  last_added_ = std::max(last_added_, frame.frame_index);
 }
 
 Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   first_unemitted_ = frame.frame_index;
-  Update(frame, ObservationOf(frame, roi_, noise_sigma), view_, kFirstIterations);
+  last_added_ = frame.frame_index;
+  Update(frame, ObservationOf(frame, RoiOf(frame), noise_sigma), view_, kFirstIterations);
   Registration registration;
   registration.view = view_;
   registration.corner_covariance = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * 1e-8;
@@ -224,25 +236,32 @@ ViewPrior Segment::Predict(const FrameInput& frame) const {
 }
 
 JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) const {
-  RegistrationRequest request;
-  request.prior = Predict(frame);
-  request.method = options_.registration;
+  Expectation expectation;
+  expectation.prior = Predict(frame);
   const bool measured = frame.previous_from_current.has_value();
   // Whole-image motion is an affine map from reduced images: the longer the hop, the more a ROI may differ from it.
-  const double hop_px = LargestCornerMotion(view_.scene_from_sensor, request.prior.mean.scene_from_sensor, roi_);
-  request.motion_px_max = measured ? 6.0 + 2.0 * skipped_ + 0.1 * hop_px : 0.35 * std::min(roi_.width(), roi_.height());
+  const double hop_px = LargestCornerMotion(view_.scene_from_sensor, expectation.prior.mean.scene_from_sensor, roi_);
+  expectation.motion_px_max = measured ? 6.0 + 2.0 * skipped_ + 0.1 * hop_px : 0.35 * std::min(roi_.width(), roi_.height());
   View still = view_;
-  request.candidates.push_back(still);
+  expectation.candidates.push_back(still);
   still.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * previous_from_current_;
-  request.candidates.push_back(still);
+  expectation.candidates.push_back(still);
+  return RegisterFrame(frame, noise_sigma, expectation);
+}
+
+JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation) const {
+  RegistrationRequest request;
+  request.prior = expectation.prior;
+  request.candidates = expectation.candidates;
+  request.motion_px_max = expectation.motion_px_max;
+  request.method = options_.registration;
   request.stream[0] = options_.seed;
   request.stream[1] = segment_id_;
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
-  const float seen_min = std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames);
-  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
-  Observation observation = ObservationOf(frame, roi_, noise_sigma);
+  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, SeenMin()};
+  Observation observation = ObservationOf(frame, RoiOf(frame), noise_sigma);
   Image<float> weights = frame.weights;
-  if (movers_.Hide(request.prior.mean, roi_, &weights)) observation.weights = &weights;
+  if (movers_.Hide(request.prior.mean, RoiOf(frame), &weights)) observation.weights = &weights;
   const std::optional<Brightness> jump = BrightnessJump(observation, reference, request.prior.mean);
   if (!jump) return Register(observation, reference, request);
   RegistrationRequest jumped = request;
@@ -258,8 +277,25 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   return judged.doubt.empty() ? judged : Register(observation, reference, request);
 }
 
+float Segment::SeenMin() const { return std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames); }
+
+Image<float> Segment::PredictFrame(const View& view, const Roi& roi) const {
+  Image<float> picture(roi.width(), roi.height(), std::numeric_limits<float>::quiet_NaN());
+  for (int v = 0; v < roi.height(); ++v) {
+    for (int u = 0; u < roi.width(); ++u) {
+      const Eigen::Vector2d scene = view.scene_from_sensor * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);
+      const double x = scene.x() - buffer_.extent.x0;
+      const double y = scene.y() - buffer_.extent.y0;
+      if (!CubicSupported(buffer_.prediction, x, y)) continue;
+      if (!(buffer_.seen.at(static_cast<int>(x + 0.5), static_cast<int>(y + 0.5)) >= SeenMin())) continue;
+      picture.at(u, v) = static_cast<float>(view.gain) * SampleCubic(buffer_.prediction, x, y) + static_cast<float>(view.offset);
+    }
+  }
+  return picture;
+}
+
 Status Segment::AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit) {
-  const Roi needed = Footprint(registration.view.scene_from_sensor);
+  const Roi needed = RegionOf(registration.view);
   if (!buffer_.extent.Contains(needed)) {
     Roi grown = RoundedOut(Union(buffer_.extent, needed), 16);
     const bool too_wide = grown.width() > kGrowth * needed.width();
@@ -272,6 +308,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
       if (too_high) grown = {grown.x0, kept.y0, grown.x1, kept.y1};
     }
     buffer_.MoveTo(grown);
+    residuals_.MoveTo(grown);
   }
   previous_from_current_ = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
   lost_from_current_ = PlanarMap{};
@@ -280,7 +317,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   covariance_ = registration.corner_covariance;
   // What is unlike the rest of this frame, whose noise may have grown with a gain.
   const Image<float>* const weights = MaskMovers(frame, std::max(noise_sigma, registration.residual_sigma));
-  const Observation observation{&frame.pixels, roi_, noise_sigma, weights};
+  const Observation observation{&frame.pixels, RoiOf(frame), noise_sigma, weights};
   Update(frame, observation, view_, options_.iterations > 0 ? options_.iterations : kFrameIterations);
   return {};
 }
@@ -301,14 +338,26 @@ Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
   snapshot.information = buffer_.seen;
   snapshot.frame_begin = first_unemitted_;
   snapshot.frame_end = last_added_ + 1;
+  if (options_.uncertainty) AddUncertainty(noise_sigma, &snapshot);
   for (std::size_t i = 0; i < snapshot.information.pixels().size(); ++i) {
     if (snapshot.information.pixels()[i] >= kSeenMin) continue;
     snapshot.information.pixels()[i] = 0.0F;
     snapshot.intensity.pixels()[i] = 0.0F;
+    if (!options_.uncertainty) continue;
+    snapshot.sigma.pixels()[i] = 0.0F;
+    snapshot.residual.pixels()[i] = 0.0F;
   }
   first_unemitted_ = last_added_ + 1;
   has_emitted_ = true;
   return emit(snapshot);
+}
+
+void Segment::AddUncertainty(double noise_sigma, SceneSnapshot* snapshot) {
+  UncertaintyOptions options;
+  options.seed = options_.seed ^ (segment_id_ << 32U);
+  snapshot->residual = residuals_.Rms(options_.ratio);
+  snapshot->sigma =
+      SceneSigma(buffer_, snapshot->residual, &draws_blur_, prior_, Lambda(buffer_.extent, noise_sigma), noise_sigma, options);
 }
 
 Status Segment::End(double noise_sigma, const Emit& emit) { return EmitSnapshot(noise_sigma, emit); }

@@ -7,6 +7,7 @@
 #include "worker/tre/mapping_engine.h"
 #include "worker/tre/mover_mask.h"
 #include "worker/tre/scene_buffer.h"
+#include "worker/tre/uncertainty.h"
 
 namespace trem {
 
@@ -16,12 +17,25 @@ class Segment {
  public:
   using Emit = std::function<Status(const SceneSnapshot&)>;
 
-  Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id);
+  // What becomes of the part of the scene plane in memory when frames show more than it holds.
+  enum class Extent {
+    kMoves,  // It grows and moves on with the ROI, emitting snapshots.
+    kFixed,  // It stays: the first frame's ROI with a margin, so that frames of a moving target pile up on it.
+  };
+  // Where a frame is expected, when the caller knows better than Predict.
+  struct Expectation {
+    ViewPrior prior;
+    double motion_px_max = 20.0;
+    std::vector<View> candidates;
+  };
+
+  Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id, Extent extent = Extent::kMoves);
 
   // The first frame: fills the scene with its bicubic enlargement and improves it. Its view is the gauge: gain 1, offset 0.
   Registration Begin(const FrameInput& frame, double noise_sigma);
   // Registers a frame to the scene's prediction; the scene is not changed.
   JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma) const;
+  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation) const;
   // Splats a registered frame and improves the scene; emits a snapshot first when the ROI has moved off the buffer.
   Status AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit);
   // A frame that was not registered: its motion still counts for where the next one is expected.
@@ -36,12 +50,21 @@ class Segment {
   // Pixels of all frames that were masked as moving.
   long long masked() const { return masked_; }
   bool has_emitted() const { return has_emitted_; }
+  // What the sensor would see of the scene in `view` on the pixels of `roi`, with the view's gain and offset; NaN where the scene is not
+  // settled enough to register to.
+  Image<float> PredictFrame(const View& view, const Roi& roi) const;
 
  private:
+  // Where the frame's pixels lie in the sensor.
+  Roi RoiOf(const FrameInput& frame) const { return frame.roi.value_or(roi_); }
   // Cells that the view's ROI covers, with the PSF's radius around them.
   Roi Footprint(const PlanarMap& scene_from_sensor) const;
+  // The cells that a frame updates.
+  Roi RegionOf(const View& view) const { return extent_ == Extent::kFixed ? buffer_.extent : Footprint(view.scene_from_sensor); }
   // Where the next frame is expected: whole-image motion when known, else constant velocity.
   ViewPrior Predict(const FrameInput& frame) const;
+  // Frames that must have seen a cell for frames to be registered to it.
+  float SeenMin() const;
   // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
   // Never again after that: cells at the border that are reset with every frame would force overshoot on their neighbours.
   void FillUnseen(const FrameInput& frame, const View& view, const Roi& region);
@@ -51,14 +74,20 @@ class Segment {
   const Image<float>* MaskMovers(const FrameInput& frame, double noise_sigma);
   float Lambda(const Roi& region, double noise_sigma) const;
   Status EmitSnapshot(double noise_sigma, const Emit& emit);
+  // The snapshot's standard deviations and residuals.
+  void AddUncertainty(double noise_sigma, SceneSnapshot* snapshot);
 
   Roi roi_;
   EngineOptions options_;
   std::uint64_t segment_id_;
+  Extent extent_;
   int margin_;
   InformationUpdate update_;
   SceneBuffer buffer_;
   Image<float> continued_;       // The frame with its holes continued.
+  StructurePrior prior_;
+  Blur draws_blur_;
+  ResidualMap residuals_;        // Not kept up without EngineOptions::uncertainty.
   View view_;                    // Of the last registered frame.
   PlanarMap previous_from_current_; // Last measured motion, in sensor pixels.
   PlanarMap lost_from_current_;     // Motion of frames skipped since then.

@@ -50,6 +50,20 @@ TEST(SceneRaster, ComesBackBitForBitAtAnySize) {
   }
 }
 
+TEST(SceneRaster, CarriesStandardDeviationsAndResidualsWhenThereAreSome) {
+  const testing::TempDir folder;
+  const SceneRaster made{Wave(40, 30, 0.0f), Wave(40, 30, 1.0f), Wave(40, 30, 2.0f), Wave(40, 30, 3.0f), {}};
+  ASSERT_TRUE(WriteSceneRaster(folder.path() / "scene.tif", made).ok());
+  const auto scene = ReadSceneRaster(folder.path() / "scene.tif", kMaxPixels);
+  ASSERT_TRUE(scene.ok()) << scene.status().message();
+  EXPECT_TRUE(SamePixels(scene->intensity, made.intensity));
+  EXPECT_TRUE(SamePixels(scene->information, made.information));
+  EXPECT_TRUE(SamePixels(scene->sigma, made.sigma));
+  EXPECT_TRUE(SamePixels(scene->residual, made.residual));
+  ASSERT_TRUE(WriteSceneRaster(folder.path() / "plain.tif", made.intensity, made.information).ok());
+  EXPECT_TRUE(ReadSceneRaster(folder.path() / "plain.tif", kMaxPixels)->sigma.empty());
+}
+
 TEST(SceneRaster, ReadsAPartThatCrossesBlocks) {
   const testing::TempDir folder;
   const Image<float> intensity = Wave(600, 520, 0.0f);

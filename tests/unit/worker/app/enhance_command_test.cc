@@ -1,4 +1,4 @@
-// Goal: `trem enhance` does what its help says: the scene's geotransform leads to the reference frame's sensor pixels, the three files
+// Goal: `trem enhance` does what its help says: the scene's geotransform leads to the reference frame's sensor pixels, the files
 // appear together or not at all, and every bad input has its exit code and message. Method: the command function is called as main calls
 // it, on frames rendered from a truth with one round bright spot; files are read back with GDAL.
 #include "worker/app/enhance_command.h"
@@ -15,7 +15,7 @@
 #include <vector>
 
 #include "mosaic/raster/gdal_env.h"
-#include "mosaic/raster/scene_raster.h"
+#include "mosaic/raster/geotiff.h"
 #include "tests/support/paths.h"
 #include "tests/support/rendered_sequence.h"
 
@@ -65,39 +65,6 @@ Image<float> TruthWithASpot(const testing::SequenceOptions& options) {
   return truth;
 }
 
-class EnhanceCommand : public ::testing::Test {
- protected:
-  static void SetUpTestSuite() {
-    folder_ = std::make_unique<TempDir>();
-    testing::SequenceOptions options;
-    options.frame_count = kFrames;
-    options.roi_px = kSide;
-    options.speed_px = 1.3;
-    options.gain_swing = 0.0;
-    options.offset_swing = 0.0;
-    const testing::RenderedSequence sequence = testing::RenderSequence(TruthWithASpot(options), options);
-    views_ = sequence.truth_from_sensor;
-    fs::create_directory(*folder_ / "frames");
-    for (int t = 0; t < kFrames; ++t) {
-      cv::Mat1b grey(kSide, kSide);
-      for (int y = 0; y < kSide; ++y) {
-        for (int x = 0; x < kSide; ++x) {
-          grey(y, x) = cv::saturate_cast<unsigned char>(sequence.frames[static_cast<std::size_t>(t)].pixels.at(x, y));
-        }
-      }
-      ASSERT_TRUE(cv::imwrite((*folder_ / "frames" / ("f" + std::to_string(100 + t) + ".png")).string(), grey));
-    }
-  }
-  static void TearDownTestSuite() { folder_.reset(); }
-
-  static std::string Frames() { return (*folder_ / "frames").string(); }
-  static std::unique_ptr<TempDir> folder_;
-  static std::vector<Affine> views_;
-};
-
-std::unique_ptr<TempDir> EnhanceCommand::folder_;
-std::vector<Affine> EnhanceCommand::views_;
-
 // Mean over 7 x 7 cells; NaN (never seen) when one of them is.
 double MeanAround(const Image<float>& scene, int x, int y) {
   double sum = 0.0;
@@ -135,31 +102,113 @@ Eigen::Vector2d FindSpot(const Image<float>& scene) {
   return centre;
 }
 
+class EnhanceCommand : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = std::make_unique<TempDir>();
+    testing::SequenceOptions options;
+    options.frame_count = kFrames;
+    options.roi_px = kSide;
+    options.speed_px = 1.3;
+    options.gain_swing = 0.0;
+    options.offset_swing = 0.0;
+    const testing::RenderedSequence sequence = testing::RenderSequence(TruthWithASpot(options), options);
+    views_ = sequence.truth_from_sensor;
+    fs::create_directory(*folder_ / "frames");
+    for (int t = 0; t < kFrames; ++t) {
+      cv::Mat1b grey(kSide, kSide);
+      for (int y = 0; y < kSide; ++y) {
+        for (int x = 0; x < kSide; ++x) {
+          grey(y, x) = cv::saturate_cast<unsigned char>(sequence.frames[static_cast<std::size_t>(t)].pixels.at(x, y));
+        }
+      }
+      ASSERT_TRUE(cv::imwrite((*folder_ / "frames" / ("f" + std::to_string(100 + t) + ".png")).string(), grey));
+    }
+  }
+  static void TearDownTestSuite() { folder_.reset(); }
+
+  // The scene's geotransform leads from the spot to where frame `index` saw it, and its metadata name that frame.
+  static void ExpectSpotAtItsPlaceInFrame(int index, const std::string& path) {
+    const Result<std::vector<Image<float>>> bands = ReadFloatBands(path, {0}, {}, 1'000'000);
+    ASSERT_TRUE(bands.ok()) << bands.status().message();
+    const GdalDatasetPtr dataset = *OpenTiff(path, "scene");
+    EXPECT_EQ(std::string(dataset->GetMetadataItem("REFERENCE_FRAME")), "f10" + std::to_string(index) + ".png");
+    EXPECT_EQ(std::string(dataset->GetMetadataItem("REFERENCE_FRAME_INDEX")), std::to_string(index));
+    double g[6];
+    ASSERT_EQ(dataset->GetGeoTransform(g), CE_None);
+    const Eigen::Vector2d found = FindSpot((*bands)[0]);
+    const double pixel = found.x() + 0.5;
+    const double line = found.y() + 0.5;
+    const Eigen::Vector2d corner_based(g[0] + pixel * g[1] + line * g[2], g[3] + pixel * g[4] + line * g[5]);
+    const Eigen::Vector2d expected = views_[static_cast<std::size_t>(index)].Inverse() * kSpotInTruth + Eigen::Vector2d(0.5, 0.5);
+    EXPECT_LT((corner_based - expected).norm(), 0.1) << corner_based.transpose() << " for " << expected.transpose();
+  }
+
+  static std::string Frames() { return (*folder_ / "frames").string(); }
+  static std::unique_ptr<TempDir> folder_;
+  static std::vector<Affine> views_;
+};
+
+std::unique_ptr<TempDir> EnhanceCommand::folder_;
+std::vector<Affine> EnhanceCommand::views_;
+
 TEST_F(EnhanceCommand, TheGeotransformLeadsToSensorPixelsOfTheReferenceFrame) {
   const TempDir temp;
   const std::string output = (temp / "scene.tif").string();
   // A corner that is not the origin, sides that differ, and a frame that is neither the first nor the last.
   const Outcome outcome = RunCommand({Frames(), "--roi", "5,8,78,74", "--reference", "6", "-o", output});
   ASSERT_EQ(outcome.code, 0) << outcome.err;
-  const Result<SceneRaster> scene = ReadSceneRaster(output, 1'000'000);
-  ASSERT_TRUE(scene.ok()) << scene.status().message();
-  const GdalDatasetPtr dataset = *OpenTiff(output, "scene");
-  EXPECT_STREQ(dataset->GetMetadataItem("REFERENCE_FRAME"), "f106.png");
-  EXPECT_STREQ(dataset->GetMetadataItem("REFERENCE_FRAME_INDEX"), "6");
-  double g[6];
-  ASSERT_EQ(dataset->GetGeoTransform(g), CE_None);
-
-  const Eigen::Vector2d found = FindSpot(scene->intensity);
-  const double pixel = found.x() + 0.5;
-  const double line = found.y() + 0.5;
-  const Eigen::Vector2d corner_based(g[0] + pixel * g[1] + line * g[2], g[3] + pixel * g[4] + line * g[5]);
-  const Eigen::Vector2d expected = views_[6].Inverse() * kSpotInTruth + Eigen::Vector2d(0.5, 0.5);
-  EXPECT_LT((corner_based - expected).norm(), 0.1) << corner_based.transpose() << " for " << expected.transpose();
+  ExpectSpotAtItsPlaceInFrame(6, output);
   // Grey levels are the source's.
-  EXPECT_NEAR(scene->intensity.at(static_cast<int>(found.x() + 19), static_cast<int>(found.y())), kFlatLevel, 6.0);
+  const std::vector<Image<float>> bands = *ReadFloatBands(output, {0}, {}, 1'000'000);
+  const Eigen::Vector2d found = FindSpot(bands[0]);
+  EXPECT_NEAR(bands[0].at(static_cast<int>(found.x() + 19), static_cast<int>(found.y())), kFlatLevel, 6.0);
 }
 
-TEST_F(EnhanceCommand, LeavesThreeFilesNamedAfterTheOutput) {
+TEST_F(EnhanceCommand, ATargetIsFollowedBothWaysAndItsSceneLeadsToTheFrameItWasPickedIn) {
+  const TempDir temp;
+  const std::string output = (temp / "target.tif").string();
+  const Eigen::Vector2d spot = views_[4].Inverse() * kSpotInTruth;
+  const std::string roi = std::to_string(std::lround(spot.x()) - 22) + "," + std::to_string(std::lround(spot.y()) - 20) + ",44,41";
+  const Outcome outcome = RunCommand({Frames(), "--roi", roi, "--track", "--reference", "4", "--json", "-o", output});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  EXPECT_THAT(outcome.out, HasSubstr("\"registered\": 10"));
+  EXPECT_THAT(outcome.out, HasSubstr("\"target\": true"));
+  ExpectSpotAtItsPlaceInFrame(4, output);
+  EXPECT_THAT(FileContents(temp / "target_chain.csv"), HasSubstr("\n4,f104.png,started_scene,"));
+  EXPECT_THAT(FileContents(temp / "target_chain.csv"), HasSubstr("\n0,f100.png,registered,"));
+  EXPECT_THAT(FileContents(temp / "target_report.html"), HasSubstr("Place of the target in the sensor"));
+}
+
+TEST_F(EnhanceCommand, TheSceneHasItsStandardDeviationInformationAndResidual) {
+  const TempDir temp;
+  const std::string output = (temp / "scene.tif").string();
+  ASSERT_EQ(RunCommand({Frames(), "-q", "-o", output}).code, 0);
+  const Result<std::vector<Image<float>>> bands = ReadFloatBands(output, {0, 1, 2, 3}, {}, 1'000'000);
+  ASSERT_TRUE(bands.ok()) << bands.status().message();
+  long long seen = 0;
+  for (std::size_t i = 0; i < (*bands)[0].pixels().size(); ++i) {
+    const bool known = (*bands)[2].pixels()[i] > 0.0F;
+    seen += known ? 1 : 0;
+    for (const std::size_t band : {0U, 1U, 3U}) ASSERT_EQ(std::isfinite((*bands)[band].pixels()[i]), known) << "band " << band << " at " << i;
+    if (!known) continue;
+    ASSERT_GT((*bands)[1].pixels()[i], 0.0F);
+    ASSERT_LT((*bands)[1].pixels()[i], 128.0F);
+  }
+  EXPECT_GT(seen, 9 * 80 * 80);
+  const std::string csv = FileContents(temp / "scene_chain.csv");
+  const std::string header = csv.substr(0, csv.find('\n'));
+  EXPECT_THAT(header, HasSubstr(",cov_ulx_ulx,cov_ulx_uly,"));
+  EXPECT_THAT(header, ::testing::EndsWith(",cov_lly_lly"));
+  for (std::size_t at = 0; at < csv.size();) {
+    const std::size_t end = csv.find('\n', at);
+    EXPECT_EQ(std::count(csv.begin() + static_cast<std::ptrdiff_t>(at), csv.begin() + static_cast<std::ptrdiff_t>(end), ','),
+              std::count(header.begin(), header.end(), ','));
+    at = end + 1;
+  }
+}
+
+TEST_F(EnhanceCommand, LeavesFourFilesNamedAfterTheOutput) {
   const TempDir temp;
   const Outcome outcome = RunCommand({Frames(), "--frames", "2:8", "--json", "-o", (temp / "yard.tif").string()});
   ASSERT_EQ(outcome.code, 0) << outcome.err;
@@ -174,7 +223,7 @@ TEST_F(EnhanceCommand, LeavesThreeFilesNamedAfterTheOutput) {
   EXPECT_GT(picture.cols, 2 * 3 * kSide);
   std::size_t files = 0;
   for (const auto& entry : fs::directory_iterator(temp.path())) files += entry.is_regular_file() ? 1 : 0;
-  EXPECT_EQ(files, 3U) << "nothing temporary stays";
+  EXPECT_EQ(files, 4U) << "nothing temporary stays";
 }
 
 TEST_F(EnhanceCommand, BadInputHasItsCodeAndMessageAndLeavesNothing) {
@@ -183,7 +232,11 @@ TEST_F(EnhanceCommand, BadInputHasItsCodeAndMessageAndLeavesNothing) {
     int code;
     const char* message;
   } cases[] = {
-      {{"--track"}, 2, "only a ROI fixed in the sensor"},
+      {{"--track"}, 2, "--track requires --roi"},
+      {{"--track", "--roi", "40,40,60,60"}, 3, "is not inside the frames, which are 90 x 90 pixels"},
+      {{"--track", "--roi", "0,0,15,40"}, 3, "expected sides of 16 to 1024"},
+      {{"--track", "--roi", "20,20,40,40", "--frames", "2:6", "--reference", "6"}, 3, "picked in one of the frames used, 2:6"},
+      {{"--track", "--roi", "20,20,40,40", "--reference", "10"}, 3, "picked in one of the frames used, 0:10"},
       {{"--roi", "1,2,3"}, 2, "expected x,y,width,height"},
       {{"--roi", "1,2,30,40,"}, 2, "expected x,y,width,height"},
       {{"--roi", "-1,2,30,40"}, 2, "expected x,y,width,height"},
