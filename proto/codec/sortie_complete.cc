@@ -125,8 +125,6 @@ void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
     if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
   };
   const v1::Tre& tre = sortie.tre();
-  refuse(tre.gain_offset() == v1::MARGINALISED, "tre.gain_offset");
-  refuse(tre.dynamics_sigma_px() != 0.0, "tre.dynamics_sigma_px");
   refuse(tre.update() > v1::INFORMATION, "tre.update");
   refuse(tre.structure() > v1::MEMBRANE, "tre.structure");
   refuse(tre.landweber_window() != 0, "tre.landweber_window");
@@ -143,6 +141,7 @@ void CompleteTre(v1::Tre* tre, RangeChecker* check) {
   check->Number("tre.structure_weight", tre->structure_weight(), 1e-6, 1e6);
   check->Whole("tre.iterations", tre->iterations(), 0, 1000);
   check->Enum("tre.view_model", tre->view_model(), v1::ViewModel_IsValid(tre->view_model()));
+  if (tre->dynamics_sigma_px() != 0.0) check->Number("tre.dynamics_sigma_px", tre->dynamics_sigma_px(), 1e-3, 1e3);
   check->Enum("tre.gain_offset", tre->gain_offset(), v1::GainOffset_IsValid(tre->gain_offset()));
   check->Enum("tre.mover_mask", tre->mover_mask(), v1::Correction_IsValid(tre->mover_mask()));
   if (tre->forgetting() != 0.0 && !(tre->forgetting() > 0.0 && tre->forgetting() <= 1.0)) {

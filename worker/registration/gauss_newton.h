@@ -1,5 +1,6 @@
 #pragma once
 
+#include "worker/registration/scene_support.h"
 #include "worker/registration/target.h"
 #include "worker/registration/view.h"
 
@@ -21,26 +22,34 @@ enum class GainOffset {
 };
 
 struct GaussNewtonOptions {
-  // Levels of reduction by 2 above the full resolution. 0 suffices when the prior mean is within about 4 px; 3 reaches about 16 px and
-  // costs a third more.
+  // Levels of reduction by 2 above the full resolution. 0 suffices when the prior mean is within about 4 px; with 3, a scan of starts at
+  // the coarsest level and the descent from the best reach capture_sigma_px.
   int pyramid_levels = 0;
+  // Standard deviation [sensor px] of a corner about the start that the reduced levels believe instead of the prior: they are there for
+  // when the prior is wrong. The full resolution has the prior.
+  double capture_sigma_px = 20.0;
   int iterations_max = 12;
-  // A level ends when no corner moves further than this [sensor px].
-  double step_tolerance_px = 0.002;
+  // The finest level ends with a step that moves no corner further than this [sensor px]. Convergence is quadratic: what is left after
+  // such a step is below 0.001 px.
+  double step_tolerance_px = 0.02;
   // Residuals beyond this many standard deviations lose influence (Huber). Lower: more robust, less efficient.
   double huber_sigmas = 3.0;
+  GainOffset gain_offset = GainOffset::kMaximumLikelihood;
 };
 
 // Outcome of a registration, whatever the method.
 struct Registration {
   View view;
-  // Laplace approximation: (J' W J / sigma^2 + prior)^-1 over the corner displacements, gain and offset marginalised [px^2].
+  // What the frame's own noise and the prior leave uncertain of its place against the scene as it is, gain and offset marginalised
+  // [px^2]: (A + L)^-1 (s A + L) (A + L)^-1 with A = J' W J / sigma^2, L the prior's information and s SceneSupport::own_share. The
+  // scene's own uncertainty comes on top (worker/tre/segment.h).
   CornerMatrix corner_covariance = CornerMatrix::Zero(6, 6);
   Eigen::Matrix2d gain_offset_covariance = Eigen::Matrix2d::Zero();
   double residual_rms = 0.0;    // Robustly weighted, internal grey levels.
   double residual_sigma = 0.0;  // 1.4826 * median |residual|.
   double correlation = 0.0;     // sqrt(1 - explained-away variance), 0..1, on seen pixels.
   double overlap = 0.0;         // Part of the ROI's pixels with seen scene behind them.
+  SceneSupport support;
   double motion_from_prior_px = 0.0;
   bool converged = false;
 };

@@ -28,6 +28,8 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
     default: options.registration = RegistrationMethod::kAuto; break;
   }
   options.view_model = sortie.tre().view_model() == v1::PROJECTIVE ? ViewModel::kProjective : ViewModel::kAffine;
+  options.gain_offset = sortie.tre().gain_offset() == v1::MARGINALISED ? GainOffset::kMarginalised : GainOffset::kMaximumLikelihood;
+  options.dynamics_sigma_px = sortie.tre().dynamics_sigma_px();
   options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
   if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
   options.iterations = static_cast<int>(sortie.tre().iterations());

@@ -21,6 +21,10 @@ struct EngineOptions {
   int ratio = 3;
   RegistrationMethod registration = RegistrationMethod::kAuto;
   ViewModel view_model = ViewModel::kAffine;
+  GainOffset gain_offset = GainOffset::kMaximumLikelihood;
+  // Standard deviation of the change of a ROI corner's velocity from frame to frame, sensor px. 0: automatic, the whole images' motion
+  // where it was measured.
+  double dynamics_sigma_px = 0.0;
   StructurePriorKind structure = StructurePriorKind::kHuberTv;
   double structure_weight = 1.0;  // Factor on the automatic regularisation. Raise it for smoother, lower for crisper and noisier scenes.
   int iterations = 0;             // Scene updates a frame. 0: 4.

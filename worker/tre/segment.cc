@@ -28,6 +28,8 @@ constexpr int kNewGroundIterations = 10;
 // Standard deviation of whole-image motion at a ROI's corner [px]: reduced images, and ground that is not quite a plane.
 constexpr double kMotionSigmaPx = 0.7;
 constexpr double kVelocitySigmaPx = 3.0;
+// Part of a gain's and offset's deviation from 1 and 0 that is expected to be there still in the next frame.
+constexpr double kPhotometryMemory = 0.98;
 
 double AutoForgetting(const EngineOptions& options) { return options.forgetting > 0.0 ? options.forgetting : 0.985; }
 
@@ -69,6 +71,23 @@ std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
   return strips;
 }
 
+// Registers a frame whose brightness may have jumped from the prior's.
+JudgedRegistration RegisterOverJump(const Observation& observation, const Reference& reference, const RegistrationRequest& request) {
+  const std::optional<Brightness> jump = BrightnessJump(observation, reference, request.prior.mean);
+  if (!jump) return Register(observation, reference, request);
+  RegistrationRequest jumped = request;
+  jumped.prior.mean.gain = jump->gain;
+  jumped.prior.mean.offset = jump->offset;
+  jumped.prior.gain_sigma *= jump->gain;
+  for (View& candidate : jumped.candidates) {
+    candidate.gain = jump->gain;
+    candidate.offset = jump->offset;
+  }
+  JudgedRegistration judged = Register(observation, reference, jumped);
+  // What looked like a jump may be other ground: then the old brightness holds.
+  return judged.doubt.empty() ? judged : Register(observation, reference, request);
+}
+
 }  // namespace
 
 Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& options, std::uint64_t segment_id, Extent extent)
@@ -85,7 +104,7 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
   const int parameters = ParameterCount(options.view_model);
-  covariance_ = CornerMatrix::Zero(parameters, parameters);
+  covariance_ = scene_covariance_ = velocity_covariance_ = CornerMatrix::Zero(parameters, parameters);
 }
 
 Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
@@ -217,7 +236,34 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   registration.correlation = 1.0;
   registration.overlap = 1.0;
   registration.converged = true;
+  // How well this frame fixes the scene on its plane; where it has no texture, the next frame's prior decides and not this.
+  ViewPrior prior;
+  prior.mean = view_;
+  prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kMotionSigmaPx * kMotionSigmaPx);
+  scene_covariance_ = EvaluateView(ObservationOf(frame, RoiOf(frame), noise_sigma), ReferenceNow(SeenMin()), prior, view_).corner_covariance;
+  // A target's frames have ROIs of their own and all lie on its first one.
+  if (extent_ == Extent::kMoves) early_.emplace_back(frame, registration);
   return registration;
+}
+
+// Constant velocity: p(A_t | A_t-1) of tre.dynamics_sigma_px.
+ViewPrior Segment::PredictByDynamics() const {
+  ViewPrior prior;
+  prior.mean = view_;
+  const double frames = 1.0 + skipped_;
+  double jerks = 0.0;  // A change of velocity j frames before the end has moved the corner j times.
+  for (int j = 1; j <= 1 + skipped_; ++j) {
+    prior.mean.scene_from_sensor = prior.mean.scene_from_sensor * previous_from_current_;
+    jerks += static_cast<double>(j) * j;
+  }
+  // Before two frames are known nothing is known of the velocity.
+  const double sigma = options_.dynamics_sigma_px;
+  const double start = frame_count_ < 2 ? std::pow(std::max(kVelocitySigmaPx, sigma), 2) : 0.0;
+  const Eigen::Index n = covariance_.rows();
+  const CornerMatrix covariance = covariance_ + frames * frames * velocity_covariance_ +
+                                  (jerks * sigma * sigma + frames * frames * start) * CornerMatrix::Identity(n, n);
+  prior.information = covariance.inverse();
+  return prior;
 }
 
 ViewPrior Segment::Predict(const FrameInput& frame) const {
@@ -230,18 +276,26 @@ ViewPrior Segment::Predict(const FrameInput& frame) const {
   // The last view's own uncertainty is part of the prediction's: a ROI without texture must not gain confidence by being predicted.
   const CornerMatrix covariance = covariance_ + CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * sigma * sigma;
   prior.information = covariance.inverse();
-  prior.gain_sigma = 0.1;
-  prior.offset_sigma = 15.0;
   return prior;
 }
 
 JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) const {
   Expectation expectation;
-  expectation.prior = Predict(frame);
+  const bool dynamics = options_.dynamics_sigma_px > 0.0;
+  expectation.prior = dynamics ? PredictByDynamics() : Predict(frame);
+  // Gain and offset wander about 1 and 0: a first-order process, so that no drift of the scene's grey levels goes unopposed for ever.
+  expectation.prior.mean.gain = 1.0 + kPhotometryMemory * (view_.gain - 1.0);
+  expectation.prior.mean.offset = kPhotometryMemory * view_.offset;
+  expectation.prior.gain_sigma = 0.1;
+  expectation.prior.offset_sigma = 15.0;
   const bool measured = frame.previous_from_current.has_value();
   // Whole-image motion is an affine map from reduced images: the longer the hop, the more a ROI may differ from it.
   const double hop_px = LargestCornerMotion(view_.scene_from_sensor, expectation.prior.mean.scene_from_sensor, roi_);
   expectation.motion_px_max = measured ? 6.0 + 2.0 * skipped_ + 0.1 * hop_px : 0.35 * std::min(roi_.width(), roi_.height());
+  if (dynamics && frame_count_ > 1) {
+    expectation.motion_px_max = 3.0 + 5.0 * std::sqrt(expectation.prior.information.inverse().diagonal().maxCoeff());
+  }
+  if (dynamics && measured) expectation.candidates.push_back(Predict(frame).mean);
   View still = view_;
   expectation.candidates.push_back(still);
   still.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * previous_from_current_;
@@ -255,26 +309,21 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.candidates = expectation.candidates;
   request.motion_px_max = expectation.motion_px_max;
   request.method = options_.registration;
+  request.gain_offset = options_.gain_offset;
   request.stream[0] = options_.seed;
   request.stream[1] = segment_id_;
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);
-  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, SeenMin()};
+  const Reference reference = ReferenceNow(SeenMin());
   Observation observation = ObservationOf(frame, RoiOf(frame), noise_sigma);
   Image<float> weights = frame.weights;
   if (movers_.Hide(request.prior.mean, RoiOf(frame), &weights)) observation.weights = &weights;
-  const std::optional<Brightness> jump = BrightnessJump(observation, reference, request.prior.mean);
-  if (!jump) return Register(observation, reference, request);
-  RegistrationRequest jumped = request;
-  jumped.prior.mean.gain = jump->gain;
-  jumped.prior.mean.offset = jump->offset;
-  jumped.prior.gain_sigma *= jump->gain;
-  for (View& candidate : jumped.candidates) {
-    candidate.gain = jump->gain;
-    candidate.offset = jump->offset;
-  }
-  JudgedRegistration judged = Register(observation, reference, jumped);
-  // What looked like a jump may be other ground: then the old brightness holds.
-  return judged.doubt.empty() ? judged : Register(observation, reference, request);
+  JudgedRegistration judged = RegisterOverJump(observation, reference, request);
+  judged.registration.corner_covariance += scene_covariance_;
+  return judged;
+}
+
+Reference Segment::ReferenceNow(float seen_min) const {
+  return {&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
 }
 
 float Segment::SeenMin() const { return std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames); }
@@ -301,6 +350,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
     const bool too_wide = grown.width() > kGrowth * needed.width();
     const bool too_high = grown.height() > kGrowth * needed.height();
     if (too_wide || too_high) {
+      early_.clear();  // What has been emitted is not accumulated again.
       TREM_RETURN_IF_ERROR(EmitSnapshot(noise_sigma, emit));
       // What lies behind is dropped along the axis of motion only: ground that the ROI sways over stays.
       const Roi kept = RoundedOut(needed, 16);
@@ -310,15 +360,23 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
     buffer_.MoveTo(grown);
     residuals_.MoveTo(grown);
   }
-  previous_from_current_ = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
+  const PlanarMap motion = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
+  const CornerMatrix own = registration.corner_covariance - scene_covariance_;
+  const double frames = 1.0 + skipped_;
+  const ViewModel model = options_.view_model;
+  previous_from_current_ = Displace(PlanarMap{}, roi_, CornerVector(CornerDisplacement(PlanarMap{}, motion, roi_, model) / frames));
+  velocity_covariance_ = (covariance_ + own) / (frames * frames);
   lost_from_current_ = PlanarMap{};
   skipped_ = 0;
   view_ = registration.view;
-  covariance_ = registration.corner_covariance;
+  covariance_ = own;
+  // Frames of a target lie on the first one's ground, wherever in the sensor.
+  CarrySceneCovariance(extent_ == Extent::kFixed ? PlanarMap{} : motion, registration.support, own);
   // What is unlike the rest of this frame, whose noise may have grown with a gain.
   const Image<float>* const weights = MaskMovers(frame, std::max(noise_sigma, registration.residual_sigma));
   const Observation observation{&frame.pixels, RoiOf(frame), noise_sigma, weights};
   Update(frame, observation, view_, options_.iterations > 0 ? options_.iterations : kFrameIterations);
+  KeepForRevisit(frame, weights, registration, noise_sigma);
   return {};
 }
 

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <functional>
+#include <utility>
+#include <vector>
 
 #include "worker/tre/frame_residual.h"
 #include "worker/tre/information_update.h"
@@ -13,6 +15,19 @@ namespace trem {
 
 // One scene plane and the frames registered to it. Cell = ratio * (sensor - roi corner) at the first frame, so cell centres lie on
 // sensor pixel centres for every ratio.
+//
+// Covariance of a view. A frame's noise, projected on what moving the frame would change, is an error of its place; its covariance is
+// C = (J'J / sigma^2)^-1, the Cramer-Rao bound. Averaging frames does not take it out of the scene: each is first aligned to what is
+// there, after which its projection equals the scene's. So the scene lies where the first frame's noise put it, off the plane that the
+// first frame's view defines by an error of covariance S_1 = C_1, and every later view has its own error and this common one:
+//
+//   cov(view t) = own_t + S_t,   S_t+1 = T S_t T' + Q_t
+//
+// T: the scene's error is a field over its plane (affine, or projective), and new ground is placed by the views that extend it, so S is
+// carried to where the ROI's corners are next; an error of scale grows with the way that the ROI has gone. Q: where cells have been seen
+// unequally often, a frame's noise is written into them unequally, 1/n a cell, and no longer cancels (SceneSupport::unevenness), and
+// about as much again enters with each strip of new ground when it is first used. own_t: Registration::corner_covariance of
+// worker/registration.
 class Segment {
  public:
   using Emit = std::function<Status(const SceneSnapshot&)>;
@@ -43,6 +58,9 @@ class Segment {
   // Emits the last snapshot.
   Status End(double noise_sigma, const Emit& emit);
 
+  // Views found again with AddFrame's frame, to replace those reported before; empty but once a segment.
+  std::vector<ChainEntry> TakeRevised() { return std::exchange(revised_, {}); }
+
   int frame_count() const { return frame_count_; }
   const View& view() const { return view_; }  // Of the last registered frame.
   // What the last added frame left of the prediction.
@@ -63,6 +81,16 @@ class Segment {
   Roi RegionOf(const View& view) const { return extent_ == Extent::kFixed ? buffer_.extent : Footprint(view.scene_from_sensor); }
   // Where the next frame is expected: whole-image motion when known, else constant velocity.
   ViewPrior Predict(const FrameInput& frame) const;
+  // Constant velocity: p(A_t | A_t-1) of tre.dynamics_sigma_px.
+  ViewPrior PredictByDynamics() const;
+  Reference ReferenceNow(float seen_min) const;
+  // S of the frame after `motion` (sensor pixels of the last frame from those of the new one), whose own covariance is `own`.
+  void CarrySceneCovariance(const PlanarMap& motion, const SceneSupport& support, const CornerMatrix& own);
+  // Once a few frames have resolved what one frame aliases, the first ones are registered again, the first one included; all are moved so
+  // that the first one's view is the plane's again, and the scene is accumulated afresh. Without, the plane would keep what the second
+  // and third frame's registration to a single frame's scene was off by.
+  void KeepForRevisit(const FrameInput& frame, const Image<float>* weights, const Registration& registration, double noise_sigma);
+  void Revisit(double noise_sigma);
   // Frames that must have seen a cell for frames to be registered to it.
   float SeenMin() const;
   // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
@@ -91,7 +119,11 @@ class Segment {
   View view_;                    // Of the last registered frame.
   PlanarMap previous_from_current_; // Last measured motion, in sensor pixels.
   PlanarMap lost_from_current_;     // Motion of frames skipped since then.
-  CornerMatrix covariance_;      // Of view_, 6 x 6 or 8 x 8.
+  CornerMatrix covariance_;          // Of view_, without the scene's, 6 x 6 or 8 x 8.
+  CornerMatrix scene_covariance_;    // Of the scene's place on its plane: S above.
+  CornerMatrix velocity_covariance_; // Of previous_from_current_, as a corner displacement a frame.
+  std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.
+  std::vector<ChainEntry> revised_;
   Roi last_region_;              // Footprint of the last frame.
   int frame_count_ = 0;
   int skipped_ = 0;

@@ -88,6 +88,8 @@ TEST(CompleteSortie, RefusesWhatLiesBeyondAndNamesTheField) {
                                                                                            {"tre.forgetting=-0.1"},
                                                                                            {"tre.structure_weight=-1"},
                                                                                            {"tre.iterations=1001"},
+                                                                                           {"tre.dynamics_sigma_px=-1"},
+                                                                                           {"tre.dynamics_sigma_px=0.0001"},
                                                                                            {"windows.roi_px=40"},
                                                                                            {"windows.roi_px=1025"},
                                                                                            {"windows.roi_overlap_px=101"},

@@ -174,6 +174,117 @@ TEST(GaussNewton, ThePyramidReachesTenPixels) {
   EXPECT_EQ(found_count, 8);
 }
 
+// A start 16 px away in a random direction and turned by 12 degrees, over other ground each time.
+TEST(GaussNewton, ThePyramidCapturesFromSixteenPixelsAndTwelveDegrees) {
+  constexpr int kCount = 40;
+  GaussNewtonOptions options;
+  options.pyramid_levels = 3;
+  Rng rng({11});
+  int captured = 0;
+  for (std::uint64_t k = 0; k < kCount; ++k) {
+    const SyntheticScene scene(151, 100 + k);
+    const Image<float> frame = scene.Frame(scene.Nominal(), k);
+    const View start = testing::TurnedAndMoved(scene, 16.0, 12.0 * std::numbers::pi / 180.0, &rng);
+    const Registration found = RegisterGaussNewton(scene.Observe(frame), scene.reference(), scene.PriorAbout(start, 20.0), start, options);
+    captured += ErrorPx(found, scene.Nominal(), scene.roi) < 0.25 ? 1 : 0;
+  }
+  EXPECT_GE(captured, 38) << "of 40: 95 %";
+}
+
+// SampleCubic in double precision, so that differences of a sum over a thousand pixels mean something.
+double SampleExactly(const Image<float>& image, const Eigen::Vector2d& at) {
+  const auto weights = [](double t) {
+    return Eigen::Vector4d(((-0.5 * t + 1.0) * t - 0.5) * t, (1.5 * t - 2.5) * t * t + 1.0, ((-1.5 * t + 2.0) * t + 0.5) * t, (0.5 * t - 0.5) * t * t);
+  };
+  const int x = static_cast<int>(at.x());
+  const int y = static_cast<int>(at.y());
+  const Eigen::Vector4d wx = weights(at.x() - x);
+  const Eigen::Vector4d wy = weights(at.y() - y);
+  double sum = 0.0;
+  for (int j = 0; j < 4; ++j) {
+    for (int i = 0; i < 4; ++i) sum += wx(i) * wy(j) * image.at(x - 1 + i, y - 1 + j);
+  }
+  return sum;
+}
+
+// What is marginalised and what is profiled differ by the volume of gain and offset: with a prior so tight that there is none, and with
+// plenty of contrast, they agree; the marginal mode must be a stationary point of its own density, found here by differences.
+TEST(GaussNewton, TheMarginalModeIsAStationaryPointOfTheMarginalDensity) {
+  SyntheticScene scene(31, 4);
+  scene.noise_sigma = 15.0;
+  const View truth = scene.NominalMovedBy(Corners(0.2, -0.1, 0.3, 0.1, -0.2, 0.2), 1.1, 4.0);
+  const Image<float> frame = scene.Frame(truth, 5);
+  const ViewPrior prior = scene.PriorAbout(scene.Nominal(), 50.0);
+  GaussNewtonOptions options;
+  options.huber_sigmas = 1e6;  // The weights are held in a step; without them the density is exact.
+  options.step_tolerance_px = 1e-6;
+  options.iterations_max = 100;
+  // -log of the marginal density over gain and offset, up to a constant.
+  const auto density = [&](const View& view) {
+    Eigen::Matrix2d a = Eigen::Vector2d(1.0 / std::pow(prior.gain_sigma, 2), 1.0 / std::pow(prior.offset_sigma, 2)).asDiagonal();
+    Eigen::Vector2d b = a * Eigen::Vector2d(prior.mean.gain, prior.mean.offset);
+    const double variance = scene.noise_sigma * scene.noise_sigma;
+    double squares = a(0, 0) * std::pow(prior.mean.gain, 2) + a(1, 1) * std::pow(prior.mean.offset, 2);
+    for (int v = 0; v < scene.roi.height(); ++v) {
+      for (int u = 0; u < scene.roi.width(); ++u) {
+        const Eigen::Vector2d cell = view.scene_from_sensor * Eigen::Vector2d(scene.roi.x0 + u, scene.roi.y0 + v) - Eigen::Vector2d(scene.x0, scene.y0);
+        const double w = static_cast<double>(SyntheticScene::kSeen) / (SyntheticScene::kSeen + 1.0) / variance;
+        const Eigen::Vector2d p(SampleExactly(scene.prediction, cell), 1.0);
+        a += w * p * p.transpose();
+        b += w * frame.at(u, v) * p;
+        squares += w * frame.at(u, v) * frame.at(u, v);
+      }
+    }
+    const CornerVector d = CornerDisplacement(prior.mean.scene_from_sensor, view.scene_from_sensor, scene.roi);
+    return 0.5 * (squares - b.dot(a.ldlt().solve(b)) + d.dot(prior.information * d)) + 0.5 * std::log(a.determinant());
+  };
+  const auto slope = [&](const View& view) {
+    CornerVector gradient(6);
+    for (int k = 0; k < 6; ++k) {
+      CornerVector step = CornerVector::Zero(6);
+      step(k) = 2e-3;
+      const View forward{Displace(view.scene_from_sensor, scene.roi, step)};
+      const View backward{Displace(view.scene_from_sensor, scene.roi, -step)};
+      gradient(k) = (density(forward) - density(backward)) / 4e-3;
+    }
+    return gradient;
+  };
+  const auto find = [&](GainOffset treatment) {
+    options.gain_offset = treatment;
+    return RegisterGaussNewton(scene.Observe(frame), scene.reference(), prior, scene.Nominal(), options);
+  };
+  const double marginal = slope(find(GainOffset::kMarginalised).view).norm();
+  const double profiled = slope(find(GainOffset::kMaximumLikelihood).view).norm();
+  EXPECT_GT(profiled, 0.01) << "else the test cannot tell them apart";
+  EXPECT_LT(marginal, 0.15 * profiled);
+}
+
+// Pixels of weight 0 hold a strong false pattern that moves the other way; at every level of the pyramid they must not count.
+TEST(GaussNewton, WeightsAreHonouredAtEveryLevel) {
+  const SyntheticScene scene(121);
+  const SyntheticScene other(121, 77);
+  const View truth = scene.NominalMovedBy(Corners(9, 4, 9, 4, 9, 4));
+  Image<float> frame = scene.Frame(truth, 1);
+  const Image<float> wrong = other.Frame(other.Nominal(), 2);
+  Image<float> weights(121, 121, 1.0F);
+  for (int y = 0; y < 121; ++y) {
+    for (int x = 0; x < 121; ++x) {
+      if (x < 40 || (x + y) % 11 == 0) {
+        frame.at(x, y) = 3.0F * wrong.at(x, y);
+        weights.at(x, y) = 0.0F;
+      }
+    }
+  }
+  Observation observation = scene.Observe(frame);
+  observation.weights = &weights;
+  GaussNewtonOptions options;
+  options.pyramid_levels = 3;
+  const Registration found =
+      RegisterGaussNewton(observation, scene.reference(), scene.PriorAbout(scene.Nominal(), 20.0), scene.Nominal(), options);
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT(ErrorPx(found, truth, scene.roi), 0.05);
+}
+
 TEST(GaussNewton, OffTheSceneThereIsNoOverlapAndNoConvergence) {
   const SyntheticScene scene(61);
   const Image<float> frame = scene.Frame(scene.Nominal(), 1);

@@ -5,6 +5,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "tests/unit/worker/registration/synthetic_scene.h"
 
 namespace trem {
@@ -40,6 +42,29 @@ TEST(Registration, AFrameOffTheSceneHasNoOverlap) {
   const View far = scene.NominalMovedBy(Corners(300, 0, 300, 0, 300, 0));
   EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), RequestAbout(scene, far, 1.0)).doubt,
               HasSubstr("overlaps the scene by 0 %"));
+}
+
+TEST(Registration, AFrameThatHoldsNothingSaysWhat) {
+  const SyntheticScene scene(61);
+  const RegistrationRequest request = RequestAbout(scene, scene.Nominal(), 2.0);
+  Image<float> frame(61, 61, std::numeric_limits<float>::quiet_NaN());
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), request).doubt, HasSubstr("has 0 usable pixels of the ROI's 3721"));
+  frame = Image<float>(61, 61, 97.0F);
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), request).doubt, HasSubstr("all its usable pixels have one grey level"));
+  frame.at(0, 0) = std::numeric_limits<float>::infinity();
+  const JudgedRegistration judged = Register(scene.Observe(frame), scene.reference(), request);
+  EXPECT_THAT(judged.doubt, HasSubstr("all its usable pixels have one grey level"));
+  EXPECT_TRUE(judged.registration.view.scene_from_sensor.linear.allFinite());
+}
+
+TEST(Registration, ASingularPriorIsNamed) {
+  const SyntheticScene scene(61);
+  const Image<float> frame = scene.Frame(scene.Nominal(), 1);
+  // The ROI shrunk to a fifth of its side: an area of 1 / 25.
+  const View small = scene.NominalMovedBy(Corners(24, 24, -24, 24, 24, -24));
+  RegistrationRequest request = RequestAbout(scene, small, 0.01);
+  request.method = RegistrationMethod::kGaussNewton;
+  EXPECT_THAT(Register(scene.Observe(frame), scene.reference(), request).doubt, HasSubstr("singular view"));
 }
 
 TEST(Registration, NoiseDoesNotMatch) {

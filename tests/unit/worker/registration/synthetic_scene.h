@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
+#include <numbers>
 #include <vector>
 
 #include "mosaic/base/rng.h"
@@ -73,6 +75,19 @@ inline CornerVector Corners(double a, double b, double c, double d, double e, do
   CornerVector corners(6);
   corners << a, b, c, d, e, f;
   return corners;
+}
+
+// The nominal view turned about the ROI's centre by +-`angle_rad` and moved by `distance_px` in a random direction.
+inline View TurnedAndMoved(const SyntheticScene& scene, double distance_px, double angle_rad, Rng* rng) {
+  const double turn = rng->Uniform() < 0.5 ? angle_rad : -angle_rad;
+  const double direction = 2.0 * std::numbers::pi * rng->Uniform();
+  const Eigen::Vector2d centre(0.5 * (scene.roi.x0 + scene.roi.x1 - 1), 0.5 * (scene.roi.y0 + scene.roi.y1 - 1));
+  Affine moved;
+  moved.linear << std::cos(turn), -std::sin(turn), std::sin(turn), std::cos(turn);
+  moved.offset = centre - moved.linear * centre + distance_px * Eigen::Vector2d(std::cos(direction), std::sin(direction));
+  View view = scene.Nominal();
+  view.scene_from_sensor = view.scene_from_sensor * PlanarMap(moved);
+  return view;
 }
 
 inline CornerVector RandomCorners(Rng* rng, double sigma_px) {
