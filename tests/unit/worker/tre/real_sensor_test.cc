@@ -166,7 +166,9 @@ TEST(BadPixels, DeadHotStuckAndBlinkingPixelsAreFoundAndNoOthers) {
     return testing::ScoreSnapshot(sequence, filtered, m.snapshots.back().scene, 0, 6.0, 1e9).scene_db;
   };
   ASSERT_TRUE(score(made) && score(plain));
-  EXPECT_GT(*score(made), *score(plain) + 1.0);
+  // Uncorrected, Huber's weights spare the scene most of it; corrected, it is as good as without bad pixels.
+  EXPECT_GT(*score(made), *score(plain) + 0.5);
+  EXPECT_GT(*score(made), *score(Map(Clean(), Off())) - 0.1);
 }
 
 // Less than 1 % of the pixels of clean frames are taken for movers: edges, aliasing and bars included.
