@@ -84,7 +84,12 @@ void Segment::Revisit(double noise_sigma) {
       found[k].corner_covariance += scene_covariance_;
     }
     update_.AddFrame(ObservationOfWhole(early[k].first, roi_, noise_sigma), found[k].view, Footprint(found[k].view.scene_from_sensor), &buffer_);
-    revised_.push_back({early[k].first.frame_index, found[k]});
+    // The view is what was found again. The residuals stay those of a frame that the scene did not hold yet: they judge predictions.
+    Registration revised = early[k].second;
+    revised.view = found[k].view;
+    revised.corner_covariance = found[k].corner_covariance;
+    revised.gain_offset_covariance = found[k].gain_offset_covariance;
+    revised_.push_back({early[k].first.frame_index, revised});
   }
   view_ = found.back().view;
   update_.UpdateSeen(buffer_.extent, options_.ratio, &buffer_);
