@@ -182,11 +182,7 @@ void Summarise(const std::vector<HintsState>& draws, HintsResult* result) {
   result->covariance = HintsMatrix::Zero(d, d);
   result->effective_draws = static_cast<double>(draws.size());
   if (draws.size() < 2) return;
-  std::vector<double> coordinate(draws.size());
-  for (Eigen::Index j = 0; j < d; ++j) {
-    for (std::size_t i = 0; i < draws.size(); ++i) coordinate[i] = draws[i][j];
-    result->effective_draws = std::min(result->effective_draws, EffectiveDraws(coordinate));
-  }
+  result->effective_draws = EffectiveDraws(draws);
   for (const HintsState& draw : draws) {
     const HintsState difference = draw - result->mean;
     result->covariance += difference * difference.transpose();
@@ -210,21 +206,23 @@ class AdditiveNodes : public HintsNodes {
 
 std::unique_ptr<HintsNodes> AdditiveTarget::NodesOf(const HintsTree& tree) const { return std::make_unique<AdditiveNodes>(*this, tree); }
 
-double EffectiveDraws(std::span<const double> values) {
-  const std::size_t n = values.size();
-  const double mean = std::accumulate(values.begin(), values.end(), 0.0) / static_cast<double>(n);
+double EffectiveDraws(const std::vector<HintsState>& draws) {
+  const std::size_t n = draws.size();
+  HintsState mean = HintsState::Zero(draws.front().size());
+  for (const HintsState& draw : draws) mean += draw / static_cast<double>(n);
   const auto autocovariance = [&](std::size_t lag) {
-    double sum = 0.0;
-    for (std::size_t i = 0; i + lag < n; ++i) sum += (values[i] - mean) * (values[i + lag] - mean);
-    return sum / static_cast<double>(n);
+    HintsState sum = HintsState::Zero(mean.size());
+    for (std::size_t i = 0; i + lag < n; ++i) sum += (draws[i] - mean).cwiseProduct(draws[i + lag] - mean);
+    return sum;
   };
-  const double variance = autocovariance(0);
-  if (!(variance > 0.0)) return 1.0;
-  double sum = -1.0;  // Of 2 * correlation over all lags but 0, plus 1: pairs begin with lag 0.
+  const HintsState variance = autocovariance(0);
+  if (!(variance.minCoeff() > 0.0)) return 1.0;
+  double sum = -1.0;  // Twice the autocorrelations of all lags but 0, and 1: the first pair holds lag 0.
   for (std::size_t lag = 0; lag + 1 < n; lag += 2) {
-    const double pair = (autocovariance(lag) + autocovariance(lag + 1)) / variance;
-    if (!(pair > 0.0)) break;
-    sum += 2.0 * pair;
+    const HintsState pair = autocovariance(lag) + autocovariance(lag + 1);
+    const double correlation = pair.cwiseQuotient(variance).mean();
+    if (!(correlation > 0.0)) break;
+    sum += 2.0 * correlation;
   }
   return std::clamp(static_cast<double>(n) / std::max(sum, 1e-9), 1.0, static_cast<double>(n));
 }

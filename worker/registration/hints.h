@@ -92,7 +92,7 @@ struct HintsResult {
   HintsMatrix covariance;         // Of the draws (divided by sweeps - 1; zero for one draw). d x d.
   // By level, root first, over the counted sweeps: accepted / tried. A parent tries when one of its children moved.
   std::vector<double> acceptance_rates;
-  double effective_draws = 0.0;       // How many independent draws the counted sweeps are worth, of the worst coordinate.
+  double effective_draws = 0.0;       // How many independent draws the counted sweeps are worth: EffectiveDraws.
   double step = 0.0;                  // The frozen step.
   std::int64_t term_evaluations = 0;  // Terms evaluated in all, burn-in included.
   double full_evaluations = 0.0;      // The same in units of the whole target: term_evaluations / term_count.
@@ -114,8 +114,8 @@ struct HintsResult {
 // kFailed when the target is not finite at `start`. Precondition: options in their ranges (checked).
 Result<HintsResult> RunHints(const HintsTarget& target, const HintsState& start, const HintsMatrix& shape, const HintsOptions& options);
 
-// Effective number of independent draws among the successive `values` of one coordinate: n / (1 + 2 sum of autocorrelations), summed up to
-// Geyer's initial positive sequence (Statistical Science 7(4), 1992, 3.3). 1 .. n.
-double EffectiveDraws(std::span<const double> values);
+// Effective number of independent draws among successive `draws`: n / (1 + 2 sum of autocorrelations), averaged over the coordinates and
+// summed up to Geyer's initial positive sequence (Statistical Science 7(4), 1992, 3.3). 1 .. n. Not empty.
+double EffectiveDraws(const std::vector<HintsState>& draws);
 
 }  // namespace trem

@@ -18,7 +18,7 @@ constexpr double kReachOfSide = 30.0 / 151.0;
 constexpr double kReachRad = 18.0 * 3.14159265358979323846 / 180.0;
 // Steps of the scan, pixels of its level: of a translation, and of a corner's motion under rotation.
 constexpr double kScanStep = 0.75;
-constexpr int kScanPixelsMin = 300;
+constexpr int kScanPixelsMin = 150;
 constexpr int kReductionsMax = 6;
 constexpr std::size_t kChains = 6;
 constexpr int kChainSweeps = 10;

@@ -72,16 +72,17 @@ class Choices {
 // Densities of all seven nodes: root 0, parents 1 and 2, leaves 3..6 (checked in Error()).
 struct TableTarget {
   std::array<Table, 7> density;
+  std::array<std::size_t, 4> factor_of_leaf = {0, 1, 2, 3};  // A leaf's proposals go with its factor.
   ExactRatio Density(int node, int state) const {
     return {Rational(density[static_cast<std::size_t>(node)][static_cast<std::size_t>(state)])};
   }
 };
 
-enum class Order { kRandom, kPalindrome, kFixed };
+enum class Order { kRandom, kPalindrome, kWithReplacement, kSingle, kFixed };
 
 class EnumeratingChooser {
  public:
-  EnumeratingChooser(Order order, Choices* choices) : order_(order), choices_(*choices) {}
+  EnumeratingChooser(const TableTarget& target, Order order, Choices* choices) : target_(target), order_(order), choices_(*choices) {}
 
   // Goes one state up with probability p, one down with 1 - p; p depends on leaf and state, so nothing is symmetric.
   int Propose(int leaf, int x, ExactRatio* hastings) {
@@ -93,8 +94,10 @@ class EnumeratingChooser {
     return y;
   }
   int ChildOrder(int /*node*/, HintsOrder* order) {
-    (*order)[0] = order_ == Order::kRandom ? choices_.Choose({Rational(1, 2), Rational(1, 2)}) : 0;
-    (*order)[1] = 1 - (*order)[0];
+    const auto either = [this] { return choices_.Choose({Rational(1, 2), Rational(1, 2)}); };
+    (*order)[0] = order_ == Order::kFixed || order_ == Order::kPalindrome ? 0 : either();
+    if (order_ == Order::kSingle) return 1;
+    (*order)[1] = order_ == Order::kWithReplacement ? either() : 1 - (*order)[0];
     (*order)[2] = 1;
     (*order)[3] = 0;
     return order_ == Order::kPalindrome ? 4 : 2;
@@ -105,7 +108,10 @@ class EnumeratingChooser {
   }
 
  private:
-  static Rational Up(int leaf, int x) { return Rational(1 + (leaf + 2 * x) % 3, 4); }
+  Rational Up(int leaf, int x) const {
+    return Rational(1 + (static_cast<int>(target_.factor_of_leaf[static_cast<std::size_t>(leaf - 3)]) + 2 * x) % 3, 4);
+  }
+  const TableTarget& target_;
   Order order_;
   Choices& choices_;
 };
@@ -121,20 +127,22 @@ struct StopsAfterFirstAcceptance : HintsRules {
   static bool GoesOn(bool moved) { return !moved; }
 };
 
-// max over y of |sum over x of pi(x) K(x, y) - pi(y)|, pi the density of `node`, K a step there.
-template <typename Rules = HintsRules>
-Rational Error(const TableTarget& target, Order order, int node = 0) {
+using Distribution = std::array<Rational, kStateCount>;
+
+// sum over x of pi(x) K(x, y), pi the density of `node`, K a step there.
+template <typename Rules>
+Distribution AfterAStep(const TableTarget& target, Order order, int node) {
   const HintsTree tree = BuildHintsTree(4, 2, 2, 1, 0);
   EXPECT_EQ(tree.nodes.size(), target.density.size());
   for (int i = 0; i < 7; ++i) EXPECT_EQ(tree.is_leaf(i), i >= 3);
   const Table& pi = target.density[static_cast<std::size_t>(node)];
   const Rational total = std::accumulate(pi.begin(), pi.end(), 0);
-  std::array<Rational, kStateCount> after{};
+  Distribution after{};
   for (int x = 0; x < kStateCount; ++x) {
     Rational seen = 0;
     Choices choices;
     do {
-      EnumeratingChooser chooser(order, &choices);
+      EnumeratingChooser chooser(target, order, &choices);
       const HintsMove<int, ExactRatio> move = HintsStep<ExactRatio, Rules>(tree, node, x, target, chooser);
       const Rational probability = choices.Probability();
       seen += probability;
@@ -143,6 +151,12 @@ Rational Error(const TableTarget& target, Order order, int node = 0) {
     } while (choices.Next());
     EXPECT_EQ(seen, 1) << "the enumeration is complete";
   }
+  return after;
+}
+
+// max over y of |after(y) - pi(y)|.
+Rational LargestDifference(const Distribution& after, const Table& pi) {
+  const Rational total = std::accumulate(pi.begin(), pi.end(), 0);
   Rational error = 0;
   for (std::size_t y = 0; y < kStateCount; ++y) {
     const Rational difference = after[y] - Rational(pi[y]) / total;
@@ -151,29 +165,34 @@ Rational Error(const TableTarget& target, Order order, int node = 0) {
   return error;
 }
 
+template <typename Rules = HintsRules>
+Rational Error(const TableTarget& target, Order order, int node = 0) {
+  return LargestDifference(AfterAStep<Rules>(target, order, node), target.density[static_cast<std::size_t>(node)]);
+}
+
 Table operator*(const Table& a, const Table& b) { return {a[0] * b[0], a[1] * b[1], a[2] * b[2]}; }
 
 constexpr std::array<Table, 4> kLeaf = {{{1, 2, 5}, {3, 1, 2}, {1, 4, 1}, {2, 3, 1}}};
 
-// The factors of the leaves, and a prior of which each leaf has a quarter.
-TableTarget ProductTarget() {
+// The factors of the leaves, shared out in the order given, and a prior of which each leaf has a quarter.
+TableTarget ProductTarget(const std::array<std::size_t, 4>& factor_of_leaf = {0, 1, 2, 3}) {
   const Table quarter = {2, 1, 3};
   std::array<Table, 4> leaf;
-  for (std::size_t i = 0; i < 4; ++i) leaf[i] = kLeaf[i] * quarter;
+  for (std::size_t i = 0; i < 4; ++i) leaf[i] = kLeaf[factor_of_leaf[i]] * quarter;
   const Table left = leaf[0] * leaf[1];
   const Table right = leaf[2] * leaf[3];
-  return {{left * right, left, right, leaf[0], leaf[1], leaf[2], leaf[3]}};
+  return {{left * right, left, right, leaf[0], leaf[1], leaf[2], leaf[3]}, factor_of_leaf};
 }
 
 // Leaves at temperature 2: each leaf's density is the square root of its factor of the parent.
 TableTarget TemperedTarget() {
   const Table left = kLeaf[0] * kLeaf[0] * kLeaf[1] * kLeaf[1];
   const Table right = kLeaf[2] * kLeaf[2] * kLeaf[3] * kLeaf[3];
-  return {{left * right, left, right, kLeaf[0], kLeaf[1], kLeaf[2], kLeaf[3]}};
+  return {{left * right, left, right, kLeaf[0], kLeaf[1], kLeaf[2], kLeaf[3]}, {0, 1, 2, 3}};
 }
 
 // Below the root, densities that have nothing to do with it.
-TableTarget UnrelatedTarget() { return {{{{7, 2, 5}, {1, 5, 2}, {3, 1, 4}, {2, 1, 1}, {1, 6, 2}, {5, 3, 1}, {1, 1, 2}}}}; }
+TableTarget UnrelatedTarget() { return {{{{7, 2, 5}, {1, 5, 2}, {3, 1, 4}, {2, 1, 1}, {1, 6, 2}, {5, 3, 1}, {1, 1, 2}}}, {0, 1, 2, 3}}; }
 
 TEST(HintsKernelTest, RandomChildOrderIsExact) { EXPECT_EQ(Error(ProductTarget(), Order::kRandom), 0); }
 
@@ -182,6 +201,25 @@ TEST(HintsKernelTest, RandomChildOrderIsExact) { EXPECT_EQ(Error(ProductTarget()
 TEST(HintsKernelTest, PalindromicChildOrderIsExact) {
   EXPECT_EQ(Error(ProductTarget(), Order::kPalindrome, 1), 0);
   EXPECT_NE(Error(ProductTarget(), Order::kFixed, 1), 0) << "control: there without back";
+}
+
+TEST(HintsKernelTest, ChildrenDrawnWithReplacementAndASingleChildAreExact) {
+  EXPECT_EQ(Error(ProductTarget(), Order::kWithReplacement), 0);
+  EXPECT_EQ(Error(ProductTarget(), Order::kSingle), 0);
+}
+
+// The terms are dealt out to the leaves anew at every root step: then even a fixed order is exact, because the reversed one is as likely.
+TEST(HintsKernelTest, LeavesReshuffledAtEveryRootStepAreExact) {
+  std::array<std::size_t, 4> deal = {0, 1, 2, 3};
+  Distribution after{};
+  Rational largest = 0;
+  do {
+    const Distribution one = AfterAStep<HintsRules>(ProductTarget(deal), Order::kFixed, 0);
+    for (std::size_t y = 0; y < kStateCount; ++y) after[y] += one[y] / 24;
+    largest = std::max<Rational>(largest, LargestDifference(one, ProductTarget().density[0]));
+  } while (std::next_permutation(deal.begin(), deal.end()));
+  EXPECT_EQ(LargestDifference(after, ProductTarget().density[0]), 0);
+  EXPECT_GT(largest, Rational(1, 1000)) << "control: each deal by itself is biased";
 }
 
 TEST(HintsKernelTest, TemperedLeavesAreExact) { EXPECT_EQ(Error(TemperedTarget(), Order::kRandom), 0); }

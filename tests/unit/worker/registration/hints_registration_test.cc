@@ -93,6 +93,8 @@ void ExpectNominalCoverage(GainOffset gain_offset) {
 
 TEST(HintsRegistration, TheCovarianceOfTheDrawsCoversTheTrueErrorAtItsRate) { ExpectNominalCoverage(GainOffset::kMaximumLikelihood); }
 
+TEST(HintsRegistration, WithGainAndOffsetIntegratedOutItCoversAsWell) { ExpectNominalCoverage(GainOffset::kMarginalised); }
+
 TEST(HintsRegistration, ProjectiveViewsHaveEightParameters) {
   const SyntheticScene scene(101);
   CornerVector d(8);

@@ -230,13 +230,16 @@ TEST(HintsTest, EffectiveDrawsOfAnAutoregressionAreThoseOfTheory) {
   constexpr int kCount = 40000;
   for (const double correlation : {0.0, 0.5, 0.9}) {
     Rng rng({1, 2});
-    std::vector<double> values(kCount);
-    double x = 0.0;
-    for (double& value : values) value = x = correlation * x + rng.Normal();
+    std::vector<HintsState> draws(kCount, HintsState::Zero(2));
+    HintsState x = HintsState::Zero(2);
+    for (HintsState& draw : draws) {
+      for (double& element : x) element = correlation * element + rng.Normal();
+      draw = x;
+    }
     const double expected = kCount * (1.0 - correlation) / (1.0 + correlation);
-    EXPECT_NEAR(EffectiveDraws(values), expected, 0.2 * expected);
+    EXPECT_NEAR(EffectiveDraws(draws), expected, 0.2 * expected);
   }
-  EXPECT_EQ(EffectiveDraws(std::vector<double>(10, 3.0)), 1.0) << "a chain that never moved";
+  EXPECT_EQ(EffectiveDraws(std::vector<HintsState>(10, HintsState::Ones(2))), 1.0) << "a chain that never moved";
 }
 
 TEST(HintsTest, FindsItsWayFromAFarStartInTheDefaultNumberOfSweeps) {
