@@ -69,7 +69,7 @@ Image<float> BatchMap(const SeparablePsf& psf, const Roi& extent, std::span<cons
     Splat<true>(x, y, weight * gain * gain * AbsoluteSum(x) * AbsoluteSum(y), &splatted);
   });
   Image<float> metric(width, height);
-  blur.Apply(splatted, &metric);
+  blur.ApplyAdjoint(splatted, &metric);
   const Image<float> reached = metric;
   for (float& m : metric.pixels()) m += lambda * options.prior.curvature_max() + 1e-6F;
 
@@ -85,7 +85,7 @@ Image<float> BatchMap(const SeparablePsf& psf, const Roi& extent, std::span<cons
     ForEachSample(extent, frames, [&](double x, double y, float gain, float offset, float weight, float value) {
       Splat<false>(x, y, weight * gain * (gain * SampleCubic(blurred, x, y) + offset - value), &splatted);
     });
-    blur.Apply(splatted, &gradient);
+    blur.ApplyAdjoint(splatted, &gradient);
     options.prior.AddGradient(look, whole, lambda, &gradient);
     before = now;
     double uphill = 0.0;

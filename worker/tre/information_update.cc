@@ -261,7 +261,7 @@ void InformationUpdate::IterateInPasses(const Roi& inner, int iterations, float 
   const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
   const Roi context = Intersect(Grown(inner, blur_.psf().radius()), whole);
   const Roi support = Intersect(Grown(inner, 2 * blur_.psf().radius()), whole);
-  const float curvature = lambda * StructurePrior::kCurvatureMax;
+  const float curvature = lambda * options_.prior.curvature_max();
   for (int iteration = 0; iteration < iterations; ++iteration) {
     const float momentum = NextMomentum();
     for (int y = support.y0; y < support.y1; ++y) {
