@@ -22,7 +22,10 @@ std::uint64_t EnhanceMemoryBytes(const v1::Sortie& sortie, std::uint32_t width_p
   const std::uint64_t frame_bytes = static_cast<std::uint64_t>(width_px) * height_px * kFrameBytesPerPixel;
   const std::uint64_t frames = window.frame_end - window.frame_begin;
   const std::uint64_t held_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * frames * kHeldBytesPerPixel;
-  return RoundUp(kProcessBytes + cells * kCanvasFactor * kCellBytes + held_bytes + frame_bytes);
+  // LANDWEBER keeps the pixels and weights of its window's frames once more.
+  const std::uint64_t kept_frames = sortie.tre().update() == v1::LANDWEBER ? sortie.tre().landweber_window() : 0;
+  const std::uint64_t kept_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * 8 * kept_frames;
+  return RoundUp(kProcessBytes + cells * kCanvasFactor * kCellBytes + held_bytes + frame_bytes + kept_bytes);
 }
 
 std::uint64_t AlignMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t window_bytes_sum) {

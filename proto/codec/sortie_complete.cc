@@ -119,18 +119,6 @@ void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
   check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
 }
 
-// Options that the schema has and the engine does not honour yet: refused, not ignored.
-void RefuseUnbuilt(const v1::Sortie& sortie, RangeChecker* check) {
-  const auto refuse = [check](bool asked, const char* field) {
-    if (asked) check->Refuse(field, "set", "nothing: this version does not support it yet");
-  };
-  const v1::Tre& tre = sortie.tre();
-  refuse(tre.update() > v1::INFORMATION, "tre.update");
-  refuse(tre.structure() > v1::MEMBRANE, "tre.structure");
-  refuse(tre.landweber_window() != 0, "tre.landweber_window");
-  refuse(tre.landweber_revisit(), "tre.landweber_revisit");
-}
-
 void CompleteTre(v1::Tre* tre, RangeChecker* check) {
   tre->set_ratio(OrDefault(tre->ratio(), 3));
   check->Whole("tre.ratio", tre->ratio(), 2, 4);
@@ -140,6 +128,11 @@ void CompleteTre(v1::Tre* tre, RangeChecker* check) {
   tre->set_structure_weight(OrDefault(tre->structure_weight(), 1.0));
   check->Number("tre.structure_weight", tre->structure_weight(), 1e-6, 1e6);
   check->Whole("tre.iterations", tre->iterations(), 0, 1000);
+  tre->set_landweber_window(OrDefault(tre->landweber_window(), 8));
+  check->Whole("tre.landweber_window", tre->landweber_window(), 1, 64);
+  if (tre->landweber_revisit() && tre->update() != v1::LANDWEBER) {
+    check->Refuse("tre.landweber_revisit", "set", "nothing unless tre.update is LANDWEBER: no other scheme keeps frames");
+  }
   check->Enum("tre.view_model", tre->view_model(), v1::ViewModel_IsValid(tre->view_model()));
   if (tre->dynamics_sigma_px() != 0.0) check->Number("tre.dynamics_sigma_px", tre->dynamics_sigma_px(), 1e-3, 1e3);
   check->Enum("tre.gain_offset", tre->gain_offset(), v1::GainOffset_IsValid(tre->gain_offset()));
@@ -187,7 +180,6 @@ Status CompleteSortie(v1::Sortie* sortie) {
   CompleteTelemetry(sortie->mutable_telemetry(), &check);
   CompleteSensor(sortie->mutable_sensor(), &check);
   CompleteTre(sortie->mutable_tre(), &check);
-  RefuseUnbuilt(*sortie, &check);
   CompleteWindows(sortie->mutable_windows(), &check);
   CompleteMosaic(sortie->mutable_mosaic(), &check);
   if (sortie->name().empty()) sortie->set_name(NameOfSource(sortie->source().path()));

@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -32,6 +33,7 @@ struct Settings {
   std::vector<int> frames{1, 8, 30, 60};
   std::vector<double> factors{0.1, 0.18, 0.32, 0.56, 1.0, 1.8, 3.2, 5.6, 10.0};
   bool batch = false;
+  bool filtered = false;
 };
 
 struct Place {
@@ -52,8 +54,20 @@ void Declare(CLI::App* app, Settings* s) {
   app->add_option("--speed", s->sequence.speed_px, "Motion a frame, sensor pixels");
   app->add_option("--psf", s->sequence.psf_sigma_px, "Gaussian part of the PSF, sensor pixels; the engine is told");
   app->add_option("--seed", s->sequence.seed, "Of noise and procedural ground");
+  static const std::map<std::string, UpdateMethod> kUpdates = {
+      {"information", UpdateMethod::kInformation}, {"landweber", UpdateMethod::kLandweber}, {"pointwise", UpdateMethod::kPointwise}};
+  static const std::map<std::string, StructurePriorKind> kStructures = {{"hubertv", StructurePriorKind::kHuberTv},
+                                                                        {"membrane", StructurePriorKind::kMembrane},
+                                                                        {"laplacian", StructurePriorKind::kLaplacian},
+                                                                        {"bilateraltv", StructurePriorKind::kBilateralTv}};
+  app->add_option("--update", s->engine.update, "information, landweber or pointwise")->transform(CLI::CheckedTransformer(kUpdates));
+  app->add_option("--structure", s->engine.structure, "hubertv, membrane, laplacian or bilateraltv")
+      ->transform(CLI::CheckedTransformer(kStructures));
+  app->add_option("--window", s->engine.landweber_window, "landweber: frames of its window");
+  app->add_flag("--revisit", s->engine.landweber_revisit, "landweber: earlier views are improved");
   app->add_option("--forgetting", s->engine.forgetting, "Per frame; 0: automatic");
   app->add_option("--iterations", s->engine.iterations, "Per frame; 0: automatic");
+  app->add_flag("--filtered", s->filtered, "Score the scene filtered like the truth, whose band that is");
   app->add_flag("--batch", s->batch, "Also the batch solution with true views (slow)");
 }
 
@@ -90,13 +104,26 @@ SceneSnapshot LastSnapshot(const RenderedSequence& sequence, int count, const En
   return last;
 }
 
-double ScoreOf(const RenderedSequence& sequence, const Image<float>& filtered, const SceneSnapshot& snapshot) {
-  return testing::ScoreSnapshot(sequence, filtered, snapshot, 0, 0.4, 1e9).scene_db.value_or(0.0);
+// Of the snapshot's scene, or of what [1 2 1]/4 leaves of it where all neighbours were seen.
+double ScoreOf(const RenderedSequence& sequence, const Image<float>& filtered_truth, SceneSnapshot snapshot, bool filtered) {
+  if (filtered) {
+    const Image<float> information = snapshot.information;
+    snapshot.intensity = testing::Filtered121(snapshot.intensity);
+    for (int y = 0; y < information.height(); ++y) {
+      for (int x = 0; x < information.width(); ++x) {
+        float least = x > 0 && y > 0 && x + 1 < information.width() && y + 1 < information.height() ? information.at(x, y) : 0.0F;
+        for (int k = 0; k < 9 && least > 0.0F; ++k) least = std::min(least, information.at(x + k % 3 - 1, y + k / 3 - 1));
+        snapshot.information.at(x, y) = least;
+      }
+    }
+  }
+  return testing::ScoreSnapshot(sequence, filtered_truth, snapshot, 0, 0.4, 1e9).scene_db.value_or(0.0);
 }
 
 // The best batch scene over a sweep of absolute weights, on the cells of `like`.
-std::pair<double, double> BestBatch(const RenderedSequence& sequence, const Image<float>& filtered, int count, const EngineOptions& options,
-                                    SceneSnapshot like) {
+std::pair<double, double> BestBatch(const RenderedSequence& sequence, const Image<float>& filtered, const Settings& s,
+                                    int count, SceneSnapshot like) {
+  const EngineOptions& options = s.engine;
   std::vector<testing::BatchFrame> frames;
   for (std::size_t t = 0; t < static_cast<std::size_t>(count); ++t) {
     View view;
@@ -120,7 +147,7 @@ std::pair<double, double> BestBatch(const RenderedSequence& sequence, const Imag
     batch.weight = weight;
     scene = testing::BatchMap(*MakePsf(options.psf, options.ratio), like.extent, frames, batch, std::move(scene));
     like.intensity = scene;
-    const double db = ScoreOf(sequence, filtered, like);
+    const double db = ScoreOf(sequence, filtered, like, s.filtered);
     if (db > best_db) {
       best_db = db;
       best_weight = weight;
@@ -141,7 +168,7 @@ void SweepOne(const Settings& s, const std::string& name, const RenderedSequence
     EngineOptions options = s.engine;
     options.structure_weight *= factor;
     SceneSnapshot made = LastSnapshot(sequence, count, options);
-    const double db = ScoreOf(sequence, filtered, made);
+    const double db = ScoreOf(sequence, filtered, made, s.filtered);
     if (factor == 1.0) {
       automatic = db;
       snapshot = std::move(made);
@@ -158,7 +185,7 @@ void SweepOne(const Settings& s, const std::string& name, const RenderedSequence
   std::printf("%-11s %5.1f %4d %8.2f %9.2f %7.2f %6.2f %6.2f |%s", name.c_str(), s.sequence.noise_sigma, count, bicubic, automatic, oracle,
               best_factor, oracle - automatic, row.c_str());
   if (s.batch) {
-    const auto [db, weight] = BestBatch(sequence, filtered, count, s.engine, std::move(snapshot));
+    const auto [db, weight] = BestBatch(sequence, filtered, s, count, std::move(snapshot));
     std::printf(" | %6.2f %6.2f %.4f", db, db - automatic, weight);
   }
   std::printf("\n");

@@ -30,7 +30,19 @@ EngineOptions EngineOptionsOf(const v1::TaskSpec& spec, const v1::SortieManifest
   options.view_model = sortie.tre().view_model() == v1::PROJECTIVE ? ViewModel::kProjective : ViewModel::kAffine;
   options.gain_offset = sortie.tre().gain_offset() == v1::MARGINALISED ? GainOffset::kMarginalised : GainOffset::kMaximumLikelihood;
   options.dynamics_sigma_px = sortie.tre().dynamics_sigma_px();
-  options.structure = sortie.tre().structure() == v1::MEMBRANE ? StructurePriorKind::kMembrane : StructurePriorKind::kHuberTv;
+  switch (sortie.tre().update()) {
+    case v1::LANDWEBER: options.update = UpdateMethod::kLandweber; break;
+    case v1::POINTWISE: options.update = UpdateMethod::kPointwise; break;
+    default: options.update = UpdateMethod::kInformation; break;
+  }
+  if (sortie.tre().landweber_window() > 0) options.landweber_window = static_cast<int>(sortie.tre().landweber_window());
+  options.landweber_revisit = sortie.tre().landweber_revisit();
+  switch (sortie.tre().structure()) {
+    case v1::MEMBRANE: options.structure = StructurePriorKind::kMembrane; break;
+    case v1::LAPLACIAN: options.structure = StructurePriorKind::kLaplacian; break;
+    case v1::BILATERAL_TV: options.structure = StructurePriorKind::kBilateralTv; break;
+    default: options.structure = StructurePriorKind::kHuberTv; break;
+  }
   if (sortie.tre().structure_weight() > 0.0) options.structure_weight = sortie.tre().structure_weight();
   options.iterations = static_cast<int>(sortie.tre().iterations());
   options.forgetting = sortie.tre().forgetting();

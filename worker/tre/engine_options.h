@@ -5,6 +5,7 @@
 #include "worker/registration/registration.h"
 #include "worker/sensor/psf.h"
 #include "worker/tre/structure_prior.h"
+#include "worker/tre/update_scheme.h"
 
 namespace trem {
 
@@ -25,6 +26,9 @@ struct EngineOptions {
   // Standard deviation of the change of a ROI corner's velocity from frame to frame, sensor px. 0: automatic, the whole images' motion
   // where it was measured.
   double dynamics_sigma_px = 0.0;
+  UpdateMethod update = UpdateMethod::kInformation;
+  int landweber_window = 8;         // kLandweber: frames of the batch window, 1 .. 64.
+  bool landweber_revisit = false;   // kLandweber: earlier frames of the window are registered again to the improved scene.
   StructurePriorKind structure = StructurePriorKind::kHuberTv;
   double structure_weight = 1.0;  // Factor on the automatic regularisation. Raise it for smoother, lower for crisper and noisier scenes.
   int iterations = 0;             // Scene updates a frame. 0: 4.
@@ -37,7 +41,7 @@ struct EngineOptions {
   // Whether snapshots carry residuals and a standard deviation per cell. Costs a pass over each frame, and at a snapshot about as much as
   // 60 frames.
   bool uncertainty = false;
-  std::uint64_t seed = 0;         // Names the random streams of HINTS and of the draws behind standard deviations.
+  std::uint64_t seed = 0;         // Names the random streams of HINTS, of kPointwise and of the draws behind standard deviations.
 };
 
 }  // namespace trem

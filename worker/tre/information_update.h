@@ -44,6 +44,10 @@ class InformationUpdate {
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // buffer->prediction = B S on `region`.
   void Predict(const Roi& region, SceneBuffer* buffer) const;
+  // Replaces the structure prior of the steps that follow.
+  void set_prior(const StructurePrior& prior) { options_.prior = prior; }
+  // Of the frames that follow; see InformationOptions.
+  void set_forgetting(double forgetting) { options_.forgetting = forgetting; }
 
  private:
   // Keeps the majoriser valid for a PSF whose separable terms leave a little negative mass n: with |B| = B + 2 N, N the negative part,

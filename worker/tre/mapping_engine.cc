@@ -127,13 +127,8 @@ class MappingRun {
     if (TooDeformed(judged.registration.view.scene_from_sensor, roi_, options_.ratio) && k > segment_start_ + 1) return Rebase(k);
     NoteBrightness(judged.registration.view);
     TREM_RETURN_IF_ERROR(segment_->AddFrame(frame_, judged.registration, noise_sigma_, [this](const SceneSnapshot& s) { return Emit(s); }));
-    std::vector<ChainEntry>& chain = result_.segments.back().chain;
-    chain.push_back({frame_.frame_index, judged.registration});
-    for (ChainEntry& revised : segment_->TakeRevised()) {
-      for (ChainEntry& entry : chain) {
-        if (entry.frame_index == revised.frame_index) entry.registration = revised.registration;
-      }
-    }
+    result_.segments.back().chain.push_back({frame_.frame_index, judged.registration});
+    TakeRevisedViews();
     lost_ = 0;
     corrections_.Learn(frame_, segment_->residual(), judged.registration.view, noise_sigma_);
     if (result_.segments.size() == 1 && !segment_->has_emitted() && corrections_.WorthRevisiting()) return BeginAgain();
@@ -243,6 +238,18 @@ class MappingRun {
     }
     TREM_RETURN_IF_ERROR(EndSegment());
     return again;
+  }
+
+  // Views that the scheme has improved afterwards stand in the chain in their improved form.
+  void TakeRevisedViews() {
+    std::vector<ChainEntry>& chain = result_.segments.back().chain;
+    for (const ChainEntry& revised : segment_->TakeRevised()) {
+      for (auto entry = chain.rbegin(); entry != chain.rend(); ++entry) {
+        if (entry->frame_index != revised.frame_index) continue;
+        entry->registration = revised.registration;
+        break;
+      }
+    }
   }
 
   Status EndSegment() {

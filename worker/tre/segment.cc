@@ -8,19 +8,18 @@
 #include "worker/sensor/bicubic.h"
 #include "worker/tre/brightness.h"
 #include "worker/tre/frame_check.h"
+#include "worker/tre/landweber_update.h"
+#include "worker/tre/pointwise_update.h"
 
 namespace trem {
 namespace {
 
-// Iterations: first frame, ordinary frame, before a snapshot.
+// Iterations: first frame, ordinary frame.
 constexpr int kFirstIterations = 20;
 constexpr int kFrameIterations = 4;
-constexpr int kSnapshotIterations = 12;
 // The buffer may grow to this multiple of the ROI's footprint before a snapshot is taken: a piece of ground is then in about
 // 1 + 1 / (kGrowth - 1) snapshots.
 constexpr double kGrowth = 1.5;
-// Cells seen by less than this many frames hold mostly invented values: left out of snapshots.
-constexpr float kSeenMin = 0.4F;
 // Frames after which a cell is settled enough to register to.
 constexpr float kSettledFrames = 2.5F;
 // Further iterations on ground that came into view with this frame.
@@ -31,14 +30,30 @@ constexpr double kVelocitySigmaPx = 3.0;
 // Part of a gain's and offset's deviation from 1 and 0 that is expected to be there still in the next frame.
 constexpr double kPhotometryMemory = 0.98;
 
-double AutoForgetting(const EngineOptions& options) { return options.forgetting > 0.0 ? options.forgetting : 0.985; }
+// Automatic forgetting: the memory, in frames, over the frames for which the ROI covers a piece of ground; and its bounds.
+constexpr double kMemoryPerDwell = 1.0;
+constexpr double kForgettingMin = 0.95;
+constexpr double kProgressRate = 0.1;
+// POINTWISE: steps of the other schemes that one of its sweeps is worth, about.
+constexpr int kStepsPerSweep = 4;
+// LANDWEBER revisits its window every so many frames, and believes views up to this far from where they were [sensor px].
+constexpr int kRevisitEvery = 4;
+constexpr double kRevisitSigmaPx = 0.1;
 
 InformationOptions UpdateOptions(const EngineOptions& options) {
   InformationOptions update;
   update.prior.kind = options.structure;
-  update.forgetting = AutoForgetting(options);
   update.threads = options.threads;
   return update;
+}
+
+std::unique_ptr<UpdateScheme> MakeScheme(const Psf& psf, const EngineOptions& options, std::uint64_t segment_id) {
+  switch (options.update) {
+    case UpdateMethod::kInformation: break;
+    case UpdateMethod::kLandweber: return std::make_unique<LandweberUpdate>(psf, LandweberOptions{.window = options.landweber_window});
+    case UpdateMethod::kPointwise: return std::make_unique<PointwiseUpdate>(psf, options.seed, segment_id);
+  }
+  return nullptr;
 }
 
 Affine NominalView(const Roi& roi, int ratio) {
@@ -97,8 +112,9 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       extent_(extent),
       margin_(psf.radius() + 3),
       update_(Blur(psf), UpdateOptions(options)),
+      regularisation_(psf, options.structure, options.ratio),
+      scheme_(MakeScheme(psf, options, segment_id)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
-      prior_(UpdateOptions(options).prior),
       draws_blur_(psf),
       residuals_(buffer_.extent),
       movers_(options.ratio) {
@@ -149,20 +165,42 @@ void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& r
   }
 }
 
-float Segment::Lambda(const Roi& region, double noise_sigma) const {
-  // Proportional to the noise's variance (a MAP weight), and growing slowly with the frames seen: what is left then is model error,
-  // which does not average out.
-  const Roi inner = buffer_.InBuffer(region);
-  double sum = 0.0;
-  long long count = 0;
-  for (int y = inner.y0; y < inner.y1; y += 4) {
-    for (int x = inner.x0; x < inner.x1; x += 4) {
-      sum += buffer_.seen.at(x, y);
-      ++count;
-    }
+void Segment::Iterate(const Roi& region, int iterations, StructureWeight weight) {
+  const StructurePrior prior{options_.structure, weight.delta};
+  const float lambda = static_cast<float>(options_.structure_weight) * weight.lambda;
+  if (scheme_ != nullptr) {
+    const bool by_user = options_.iterations > 0 && iterations == options_.iterations;
+    if (options_.update == UpdateMethod::kPointwise && !by_user) iterations = (iterations + kStepsPerSweep - 1) / kStepsPerSweep;
+    scheme_->Iterate(region, iterations, prior, lambda, &buffer_);
+    update_.Predict(region, &buffer_);
+    return;
   }
-  const double frames = count > 0 ? sum / static_cast<double>(count) : 0.0;
-  return static_cast<float>(options_.structure_weight * 0.0125 * std::pow(noise_sigma / 2.0, 2) * (1.0 + 0.03 * frames));
+  update_.set_prior(prior);
+  update_.Iterate(region, iterations, lambda, &buffer_);
+}
+
+double Segment::Forgetting() const {
+  if (options_.forgetting > 0.0) return options_.forgetting;
+  // A cell that will be seen by N frames more must not remember all of them alike: views accumulate error with the ROI's progress, and the
+  // oldest samples hold the scene where the first views were. A ROI that stays has one origin and keeps everything.
+  const double dwell_frames = std::min(roi_.width(), roi_.height()) / std::max(progress_px_.norm(), 1e-6);
+  return std::max(1.0 - 1.0 / (kMemoryPerDwell * dwell_frames), kForgettingMin);
+}
+
+void Segment::ReviseKeptFrames() {
+  const Reference reference{&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, kSettledFrames};
+  const std::span<KeptFrame> frames = scheme_->kept_frames();
+  for (std::size_t i = 0; i + 1 < frames.size(); ++i) {
+    KeptFrame& frame = frames[i];
+    if (frame.frame_index == first_frame_) continue;  // Its view is the gauge.
+    ViewPrior prior;
+    prior.mean = frame.view;
+    prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kRevisitSigmaPx * kRevisitSigmaPx);
+    const Registration again = RegisterGaussNewton(frame.observation(), reference, prior, frame.view, {});
+    if (!again.converged || again.overlap < 0.25 || again.motion_from_prior_px > 3.0 * kRevisitSigmaPx) continue;
+    frame.view = again.view;
+    revised_.push_back({frame.frame_index, again});
+  }
 }
 
 const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_sigma) {
@@ -203,19 +241,24 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
 
 void Segment::Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations) {
   const Roi region = RegionOf(view);
+  regularisation_.Learn(observation, view);
   FillUnseen(frame, view, region);
   update_.Predict(region, &buffer_);
+  update_.set_forgetting(Forgetting());
   update_.AddFrame(observation, view, region, &buffer_);
+  if (scheme_ != nullptr) scheme_->AddFrame(frame.frame_index, observation, view);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
-  const float lambda = Lambda(region, observation.noise_sigma);
+  const StructureWeight weight = regularisation_.Weight(region, buffer_, observation.noise_sigma);
   if (frame_count_ > 0) {
-    for (const Roi& strip : NewGround(last_region_, region)) update_.Iterate(strip, kNewGroundIterations, lambda, &buffer_);
+    for (const Roi& strip : NewGround(last_region_, region)) Iterate(strip, kNewGroundIterations, weight);
   }
-  update_.Iterate(region, iterations, lambda, &buffer_);
+  Iterate(region, iterations, weight);
   // The first frame is fitted by a scene of its own.
   if (options_.uncertainty && frame_count_ > 0) {
     residuals_.Add(observation, view, InformationOptions{}.huber_sigmas, buffer_);
   }
+  if (options_.landweber_revisit && scheme_ != nullptr && frame_count_ % kRevisitEvery == kRevisitEvery - 1) ReviseKeptFrames();
+  regularisation_.MakeProbe(region, buffer_, observation.noise_sigma);
   last_region_ = region;
   ++frame_count_;
   // A target is followed forwards and then backwards.
@@ -224,7 +267,7 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
 }
 
 Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
-  first_unemitted_ = frame.frame_index;
+  first_unemitted_ = first_frame_ = frame.frame_index;
   last_added_ = frame.frame_index;
   Update(frame, ObservationOf(frame, RoiOf(frame), noise_sigma), view_, kFirstIterations);
   Registration registration;
@@ -241,8 +284,9 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   prior.mean = view_;
   prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kMotionSigmaPx * kMotionSigmaPx);
   scene_covariance_ = EvaluateView(ObservationOf(frame, RoiOf(frame), noise_sigma), ReferenceNow(SeenMin()), prior, view_).corner_covariance;
-  // A target's frames have ROIs of their own and all lie on its first one.
-  if (extent_ == Extent::kMoves) early_.emplace_back(frame, registration);
+  // A target's frames have ROIs of their own and all lie on its first one; a scheme that keeps frames revisits them itself.
+  const bool revisits = scheme_ == nullptr || scheme_->remembers();
+  if (extent_ == Extent::kMoves && revisits) early_.emplace_back(frame, registration);
   return registration;
 }
 
@@ -366,6 +410,8 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   const ViewModel model = options_.view_model;
   previous_from_current_ = Displace(PlanarMap{}, roi_, CornerVector(CornerDisplacement(PlanarMap{}, motion, roi_, model) / frames));
   velocity_covariance_ = (covariance_ + own) / (frames * frames);
+  const Eigen::Vector2d centre(0.5 * (roi_.x0 + roi_.x1), 0.5 * (roi_.y0 + roi_.y1));
+  progress_px_ += kProgressRate * (previous_from_current_ * centre - centre - progress_px_);
   lost_from_current_ = PlanarMap{};
   skipped_ = 0;
   view_ = registration.view;
@@ -385,39 +431,5 @@ void Segment::SkipFrame(const FrameInput& frame) {
       lost_from_current_ * (frame.previous_from_current ? PlanarMap(*frame.previous_from_current) : previous_from_current_);
   ++skipped_;
 }
-
-Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
-  // Cells that came into the buffer beside seen ones, or lost neighbours to a move, have a stale count: it is the steps' majoriser.
-  update_.UpdateSeen(buffer_.extent, options_.ratio, &buffer_);
-  update_.Iterate(buffer_.extent, kSnapshotIterations, Lambda(buffer_.extent, noise_sigma), &buffer_);
-  SceneSnapshot snapshot;
-  snapshot.extent = buffer_.extent;
-  snapshot.intensity = buffer_.scene;
-  snapshot.information = buffer_.seen;
-  snapshot.frame_begin = first_unemitted_;
-  snapshot.frame_end = last_added_ + 1;
-  if (options_.uncertainty) AddUncertainty(noise_sigma, &snapshot);
-  for (std::size_t i = 0; i < snapshot.information.pixels().size(); ++i) {
-    if (snapshot.information.pixels()[i] >= kSeenMin) continue;
-    snapshot.information.pixels()[i] = 0.0F;
-    snapshot.intensity.pixels()[i] = 0.0F;
-    if (!options_.uncertainty) continue;
-    snapshot.sigma.pixels()[i] = 0.0F;
-    snapshot.residual.pixels()[i] = 0.0F;
-  }
-  first_unemitted_ = last_added_ + 1;
-  has_emitted_ = true;
-  return emit(snapshot);
-}
-
-void Segment::AddUncertainty(double noise_sigma, SceneSnapshot* snapshot) {
-  UncertaintyOptions options;
-  options.seed = options_.seed ^ (segment_id_ << 32U);
-  snapshot->residual = residuals_.Rms(options_.ratio);
-  snapshot->sigma =
-      SceneSigma(buffer_, snapshot->residual, &draws_blur_, prior_, Lambda(buffer_.extent, noise_sigma), noise_sigma, options);
-}
-
-Status Segment::End(double noise_sigma, const Emit& emit) { return EmitSnapshot(noise_sigma, emit); }
 
 }  // namespace trem

@@ -1,15 +1,18 @@
 #pragma once
 
 #include <functional>
+#include <memory>
 #include <utility>
 #include <vector>
 
+#include "worker/tre/automatic_regularisation.h"
 #include "worker/tre/frame_residual.h"
 #include "worker/tre/information_update.h"
 #include "worker/tre/mapping_engine.h"
 #include "worker/tre/mover_mask.h"
 #include "worker/tre/scene_buffer.h"
 #include "worker/tre/uncertainty.h"
+#include "worker/tre/update_scheme.h"
 
 namespace trem {
 
@@ -100,7 +103,12 @@ class Segment {
   // Judges what the frame leaves of the prediction; the frame's weights without what moves (null: all 1), and ground that showed a mover
   // is made free to be made anew.
   const Image<float>* MaskMovers(const FrameInput& frame, double noise_sigma);
-  float Lambda(const Roi& region, double noise_sigma) const;
+  // `iterations` steps on `region` under the automatic weight times the user's factor.
+  void Iterate(const Roi& region, int iterations, StructureWeight weight);
+  // Registers the frames that the scheme keeps, but the last, to the present scene.
+  void ReviseKeptFrames();
+  // Factor on the accumulated information of the cells that this frame sees, from how long the ROI dwells on them.
+  double Forgetting() const;
   Status EmitSnapshot(double noise_sigma, const Emit& emit);
   // The snapshot's standard deviations and residuals.
   void AddUncertainty(double noise_sigma, SceneSnapshot* snapshot);
@@ -111,9 +119,10 @@ class Segment {
   Extent extent_;
   int margin_;
   InformationUpdate update_;
+  AutomaticRegularisation regularisation_;
+  std::unique_ptr<UpdateScheme> scheme_;  // Null: the information update.
   SceneBuffer buffer_;
   Image<float> continued_;       // The frame with its holes continued.
-  StructurePrior prior_;
   Blur draws_blur_;
   ResidualMap residuals_;        // Not kept up without EngineOptions::uncertainty.
   View view_;                    // Of the last registered frame.
@@ -122,6 +131,7 @@ class Segment {
   CornerMatrix covariance_;          // Of view_, without the scene's, 6 x 6 or 8 x 8.
   CornerMatrix scene_covariance_;    // Of the scene's place on its plane: S above.
   CornerMatrix velocity_covariance_; // Of previous_from_current_, as a corner displacement a frame.
+  Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();  // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.
   std::vector<ChainEntry> revised_;
   Roi last_region_;              // Footprint of the last frame.
@@ -133,6 +143,7 @@ class Segment {
   long long masked_ = 0;         // Pixels so far.
   bool has_emitted_ = false;
   int first_unemitted_ = 0;
+  int first_frame_ = 0;
   int last_added_ = 0;
 };
 

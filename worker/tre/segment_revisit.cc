@@ -93,7 +93,7 @@ void Segment::Revisit(double noise_sigma) {
   }
   view_ = found.back().view;
   update_.UpdateSeen(buffer_.extent, options_.ratio, &buffer_);
-  update_.Iterate(buffer_.extent, kRevisitIterations, Lambda(buffer_.extent, noise_sigma), &buffer_);
+  Iterate(buffer_.extent, kRevisitIterations, regularisation_.Weight(buffer_.extent, buffer_, noise_sigma));
 }
 
 }  // namespace trem

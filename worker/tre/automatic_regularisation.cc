@@ -1,0 +1,176 @@
+#include "worker/tre/automatic_regularisation.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "worker/sensor/bicubic.h"
+#include "worker/tre/information_update.h"
+
+namespace trem {
+namespace {
+
+// Of the rule for lambda_0, fitted once to procedural and natural scenes (docs/BENCHMARKS.md).
+constexpr double kScale = 0.07;
+constexpr double kHidden = 1.9;
+constexpr double kDeltaPerDifference = 3.0;
+// The finest scene's weight over the best predicting one's.
+constexpr double kFinestOverPredicting = 1.4;
+// Standard deviation of log f before anything was predicted, and how much of what was learnt a probe keeps: scenes change.
+constexpr double kLogFactorSigma = 0.7;
+constexpr double kKept = 0.9;
+constexpr double kLogFactorMax = 3.0;
+constexpr double kLogStepMax = 0.4;
+constexpr int kProbeIterations = 8;
+constexpr int kProbesDense = 6;  // Frames at the start that all make a probe; later every third does.
+constexpr int kProbeEvery = 3;
+// A difference of scale below this part of sigma is noise: bounds lambda on ground without any texture.
+constexpr double kScaleMin = 0.1;
+constexpr float kSeenMin = 0.75F;
+constexpr double kHuberSigmas = 3.0;
+
+// Energies of other kinds weigh a scene of a given scale otherwise: the ratio of their sums' curvatures.
+double KindFactor(StructurePriorKind kind) {
+  switch (kind) {
+    case StructurePriorKind::kHuberTv:
+      return 1.0;
+    case StructurePriorKind::kMembrane:
+      return 0.5;
+    case StructurePriorKind::kLaplacian:
+      return 0.1;
+    case StructurePriorKind::kBilateralTv:
+      return 0.3;
+  }
+  return 1.0;
+}
+
+struct Texture {
+  double scale = 0.0;   // Mean absolute difference of neighbouring cells, grey levels.
+  double frames = 1.0;  // Mean number of frames that have seen a cell.
+};
+
+// Of the cells that were seen, over every third row.
+Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
+  double sum = 0.0;
+  double seen_sum = 0.0;
+  long long count = 0;
+  for (int y = inner.y0; y + 1 < inner.y1; y += 3) {
+    const float* row = buffer.scene.row(y);
+    const float* below = buffer.scene.row(y + 1);
+    const float* seen = buffer.seen.row(y);
+    float row_sum = 0.0F;
+    float row_seen = 0.0F;
+    for (int x = inner.x0; x + 1 < inner.x1; ++x) {
+      if (seen[x] < kSeenMin) continue;
+      row_sum += std::abs(row[x + 1] - row[x]) + std::abs(below[x] - row[x]);
+      row_seen += seen[x];
+      ++count;
+    }
+    sum += row_sum;
+    seen_sum += row_seen;
+  }
+  if (count == 0) return {};
+  return {sum / static_cast<double>(2 * count), std::max(seen_sum / static_cast<double>(count), 1.0)};
+}
+
+Image<float> Cropped(const Image<float>& image, const Roi& roi) {
+  Image<float> crop(roi.width(), roi.height());
+  for (int y = 0; y < roi.height(); ++y) std::copy(image.row(roi.y0 + y) + roi.x0, image.row(roi.y0 + y) + roi.x1, crop.row(y));
+  return crop;
+}
+
+}  // namespace
+
+AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio)
+    : psf_(psf), kind_(kind), ratio_(ratio), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
+
+StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBuffer& buffer, double noise_sigma) const {
+  const Texture texture = TextureOf(buffer.InBuffer(region), buffer);
+  const double scale = std::max(texture.scale, kScaleMin * noise_sigma);
+  const double variance = noise_sigma * noise_sigma;
+  const double hidden = kHidden * scale * noise_sigma * 2.0 / (1.0 + texture.frames);
+  StructureWeight weight;
+  weight.lambda = static_cast<float>(std::exp(log_factor_) * KindFactor(kind_) * kScale * variance / (scale * scale + hidden));
+  weight.delta = static_cast<float>(kDeltaPerDifference * scale);
+  return weight;
+}
+
+Image<float> AutomaticRegularisation::Predicted(const SceneBuffer& tile, const Roi& inner, StructureWeight weight) const {
+  InformationOptions options;
+  options.prior = {kind_, weight.delta};
+  InformationUpdate update(Blur(psf_), options);
+  SceneBuffer copy = tile;
+  update.Iterate(inner, kProbeIterations, weight.lambda, &copy);
+  return std::move(copy.prediction);
+}
+
+void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& buffer, double noise_sigma) {
+  probe_.reset();
+  const int turn = probe_count_++;
+  if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
+  // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over
+  // what the ROI will see again.
+  const int rim = psf_.radius() + 3 * ratio_;
+  const int reach = std::min(region.width(), region.height());
+  const int side = std::clamp(turn < kProbesDense ? reach / 2 : reach / 3, 10 * ratio_, 64 * ratio_);
+  const int room_x = region.width() - 2 * rim - side;
+  const int room_y = region.height() - 2 * rim - side;
+  if (room_x <= 0 || room_y <= 0) return;
+  const auto fraction = [turn](double step) { return std::fmod(0.5 + step * turn, 1.0); };
+  const int x0 = region.x0 + rim + static_cast<int>(fraction(0.7548776662) * room_x);
+  const int y0 = region.y0 + rim + static_cast<int>(fraction(0.5698402910) * room_y);
+  const Roi inner{x0, y0, x0 + side, y0 + side};
+  const int margin = 2 * psf_.radius() + 2;
+  const Roi extent = Intersect({inner.x0 - margin, inner.y0 - margin, inner.x1 + margin, inner.y1 + margin}, buffer.extent);
+  if (!extent.Contains(inner)) return;
+  const Roi crop = buffer.InBuffer(extent);
+  SceneBuffer tile(extent);
+  tile.scene = Cropped(buffer.scene, crop);
+  tile.previous = tile.scene;
+  tile.weight = Cropped(buffer.weight, crop);
+  tile.weighted = Cropped(buffer.weighted, crop);
+  tile.majoriser = Cropped(buffer.majoriser, crop);
+  StructureWeight weight = Weight(region, buffer, noise_sigma);
+  Probe probe{inner, extent, {}, {}};
+  const float middle = weight.lambda / static_cast<float>(kFinestOverPredicting);
+  weight.lambda = 0.5F * middle;
+  probe.less = Predicted(tile, inner, weight);
+  weight.lambda = 2.0F * middle;
+  probe.more = Predicted(tile, inner, weight);
+  probe_ = std::move(probe);
+}
+
+void AutomaticRegularisation::Learn(const Observation& observation, const View& view) {
+  if (!probe_) return;
+  const Probe& probe = *probe_;
+  const double limit = kHuberSigmas * observation.noise_sigma;
+  const double gain = view.gain;
+  // Cells whose bicubic support the probe's inner part does not hold are left out.
+  const Roi held{probe.inner.x0 + 2, probe.inner.y0 + 2, probe.inner.x1 - 2, probe.inner.y1 - 2};
+  double score = 0.0;
+  double curvature = 0.0;
+  for (int v = 0; v < observation.roi.height(); ++v) {
+    for (int u = 0; u < observation.roi.width(); ++u) {
+      const float value = observation.roi_pixels->at(u, v);
+      const float trust = observation.weight(u, v);
+      if (std::isnan(value) || !(trust > 0.0F)) continue;
+      const Eigen::Vector2d cell = view.scene_from_sensor * Eigen::Vector2d(observation.roi.x0 + u, observation.roi.y0 + v);
+      if (!(cell.x() >= held.x0 && cell.x() < held.x1 && cell.y() >= held.y0 && cell.y() < held.y1)) continue;
+      const double x = cell.x() - probe.extent.x0;
+      const double y = cell.y() - probe.extent.y0;
+      const double less = SampleCubic(probe.less, x, y);
+      const double more = SampleCubic(probe.more, x, y);
+      const double slope = gain * (more - less) / (2.0 * std::numbers::ln2);
+      const double residual = std::clamp(value - view.offset - gain * 0.5 * (more + less), -limit, limit);
+      score += trust * residual * slope;
+      curvature += trust * slope * slope;
+    }
+  }
+  const double variance = observation.noise_sigma * observation.noise_sigma;
+  information_ = kKept * information_ + curvature / variance;
+  const double step = score / variance / information_;
+  log_factor_ = std::clamp(log_factor_ + std::clamp(step, -kLogStepMax, kLogStepMax), -kLogFactorMax, kLogFactorMax);
+  probe_.reset();
+}
+
+}  // namespace trem
