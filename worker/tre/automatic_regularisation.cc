@@ -14,6 +14,9 @@ namespace {
 constexpr double kScale = 0.07;
 constexpr double kHidden = 1.9;
 constexpr double kDeltaPerDifference = 3.0;
+// Without learning.
+constexpr double kFixedScale = 0.0125 / 4.0;
+constexpr float kFixedDelta = 4.0F;
 // The finest scene's weight over the best predicting one's.
 constexpr double kFinestOverPredicting = 1.4;
 // Standard deviation of log f before anything was predicted, and how much of what was learnt a probe keeps: scenes change.
@@ -81,11 +84,12 @@ Image<float> Cropped(const Image<float>& image, const Roi& roi) {
 
 }  // namespace
 
-AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio)
-    : psf_(psf), kind_(kind), ratio_(ratio), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
+AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn)
+    : psf_(psf), kind_(kind), ratio_(ratio), learn_(learn), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
 
 StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBuffer& buffer, double noise_sigma) const {
   const Texture texture = TextureOf(buffer.InBuffer(region), buffer);
+  if (!learn_) return {static_cast<float>(kFixedScale * noise_sigma * noise_sigma * (1.0 + 0.03 * texture.frames)), kFixedDelta};
   const double scale = std::max(texture.scale, kScaleMin * noise_sigma);
   const double variance = noise_sigma * noise_sigma;
   const double hidden = kHidden * scale * noise_sigma * 2.0 / (1.0 + texture.frames);
@@ -106,6 +110,7 @@ Image<float> AutomaticRegularisation::Predicted(const SceneBuffer& tile, const R
 
 void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& buffer, double noise_sigma) {
   probe_.reset();
+  if (!learn_) return;
   const int turn = probe_count_++;
   if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
   // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over

@@ -31,6 +31,9 @@ struct EngineOptions {
   bool landweber_revisit = false;   // kLandweber: earlier frames of the window are registered again to the improved scene.
   StructurePriorKind structure = StructurePriorKind::kHuberTv;
   double structure_weight = 1.0;  // Factor on the automatic regularisation. Raise it for smoother, lower for crisper and noisier scenes.
+  // False: the weight follows noise and frames alone. For holding sensor models against each other: a weight that is learnt from
+  // prediction makes up for a wrong one.
+  bool learn_weight = true;
   int iterations = 0;             // Scene updates a frame. 0: 4.
   double forgetting = 0.0;        // Per frame, (0, 1]. 0: automatic.
   double noise_sigma = 2.0;       // Internal grey levels; first guess unless `noise_known`.

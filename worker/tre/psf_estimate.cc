@@ -21,6 +21,8 @@ constexpr double kCurvatureMin = 0.002;
 // Error of the estimate that the jackknife does not see: all trials share the model's simplifications.
 constexpr double kErrorFloor_px = 0.04;
 constexpr double kErrorMax_px = 0.12;
+// The same for all trials, whatever their motion.
+constexpr double kTrialForgetting = 0.985;
 
 // log rms of the residuals, by trial and half of its scored frames.
 struct Scores {
@@ -34,6 +36,8 @@ class Search {
   Search(std::span<const PsfTrial> trials, const EngineOptions& options, const std::function<bool(double)>& progress)
       : trials_(trials), options_(options), progress_(progress) {
     options_.structure_weight *= kTrialStructureWeight;
+    options_.learn_weight = false;
+    if (options_.forgetting == 0.0) options_.forgetting = kTrialForgetting;
     options_.registration = RegistrationMethod::kGaussNewton;
   }
 

@@ -112,7 +112,7 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       extent_(extent),
       margin_(psf.radius() + 3),
       update_(Blur(psf), UpdateOptions(options)),
-      regularisation_(psf, options.structure, options.ratio),
+      regularisation_(psf, options.structure, options.ratio, options.learn_weight),
       scheme_(MakeScheme(psf, options, segment_id)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
       draws_blur_(psf),
