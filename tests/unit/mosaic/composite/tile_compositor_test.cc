@@ -38,7 +38,7 @@ struct World {
     return [this](std::size_t index, const Roi& roi) -> Result<SceneRaster> {
       const SceneRaster& whole = rasters[index];
       if (!whole.roi.Contains(roi)) return Corrupt("read outside of the raster");
-      SceneRaster part{Image<float>(roi.width(), roi.height()), Image<float>(roi.width(), roi.height()), roi};
+      SceneRaster part{Image<float>(roi.width(), roi.height()), Image<float>(roi.width(), roi.height()), {}, {}, roi};
       for (int y = 0; y < roi.height(); ++y) {
         for (int x = 0; x < roi.width(); ++x) {
           part.intensity.at(x, y) = whole.intensity.at(x + roi.x0, y + roi.y0);
@@ -72,7 +72,7 @@ World MakeWorld(int scene_count, std::uint64_t seed, bool with_holes) {
     scene.gain = 0.8 + 0.4 * rng.Uniform();
     scene.offset = 20.0 * (rng.Uniform() - 0.5);
     scene.position_sigma = 0.1 + 0.1 * i;
-    SceneRaster raster{Image<float>(120, 100), Image<float>(120, 100), {0, 0, 120, 100}};
+    SceneRaster raster{Image<float>(120, 100), Image<float>(120, 100), {}, {}, {0, 0, 120, 100}};
     for (int y = 0; y < 100; ++y) {
       for (int x = 0; x < 120; ++x) {
         const Eigen::Vector2d at = scene.world_from_scene * Eigen::Vector2d(x - 7, y + 3);
@@ -204,7 +204,7 @@ TEST(TileCompositor, PoorlySeenGroundIsUsedOnlyWhereNothingBetterCoversIt) {
     const int height = scene.raster_in_scene.height();
     world.scenes.push_back(scene);
     world.rasters.push_back(
-        {Image<float>(40, height, i == 0 ? 10.0f : 90.0f), Image<float>(40, height, i == 0 ? 0.1f : 20.0f), {0, 0, 40, height}});
+        {Image<float>(40, height, i == 0 ? 10.0f : 90.0f), Image<float>(40, height, i == 0 ? 0.1f : 20.0f), {}, {}, {0, 0, 40, height}});
   }
   CompositeOptions options = Options();
   options.taper_cells = 0.0;
