@@ -13,12 +13,12 @@ namespace {
 // Of the rule for lambda_0, fitted once to procedural and natural scenes (docs/BENCHMARKS.md).
 constexpr double kScale = 0.07;
 constexpr double kHidden = 1.9;
-constexpr double kDeltaPerDifference = 3.0;
+constexpr double kDeltaPerDifference = 1.0;
 // Without learning.
 constexpr double kFixedScale = 0.0125 / 4.0;
 constexpr float kFixedDelta = 4.0F;
 // The finest scene's weight over the best predicting one's.
-constexpr double kFinestOverPredicting = 1.4;
+constexpr double kFinestOverPredicting = 1.0;
 // Standard deviation of log f before anything was predicted, and how much of what was learnt a probe keeps: scenes change.
 constexpr double kLogFactorSigma = 0.7;
 constexpr double kKept = 0.9;
@@ -48,13 +48,15 @@ double KindFactor(StructurePriorKind kind) {
 }
 
 struct Texture {
-  double scale = 0.0;   // Mean absolute difference of neighbouring cells, grey levels.
+  double mean = 0.0;    // Mean absolute difference of neighbouring cells, grey levels.
+  double rms = 0.0;     // Root mean square of it: larger beside the mean, the more the contrast is that of few edges.
   double frames = 1.0;  // Mean number of frames that have seen a cell.
 };
 
 // Of the cells that were seen, over every third row.
 Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
   double sum = 0.0;
+  double squares = 0.0;
   double seen_sum = 0.0;
   long long count = 0;
   for (int y = inner.y0; y + 1 < inner.y1; y += 3) {
@@ -62,18 +64,25 @@ Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
     const float* below = buffer.scene.row(y + 1);
     const float* seen = buffer.seen.row(y);
     float row_sum = 0.0F;
+    float row_squares = 0.0F;
     float row_seen = 0.0F;
     for (int x = inner.x0; x + 1 < inner.x1; ++x) {
       if (seen[x] < kSeenMin) continue;
-      row_sum += std::abs(row[x + 1] - row[x]) + std::abs(below[x] - row[x]);
+      const float across = row[x + 1] - row[x];
+      const float down = below[x] - row[x];
+      row_sum += std::abs(across) + std::abs(down);
+      row_squares += across * across + down * down;
       row_seen += seen[x];
       ++count;
     }
     sum += row_sum;
+    squares += row_squares;
     seen_sum += row_seen;
   }
   if (count == 0) return {};
-  return {sum / static_cast<double>(2 * count), std::max(seen_sum / static_cast<double>(count), 1.0)};
+  const double mean = sum / static_cast<double>(2 * count);
+  const double rms = std::sqrt(squares / static_cast<double>(2 * count));
+  return {mean, rms, std::max(seen_sum / static_cast<double>(count), 1.0)};
 }
 
 Image<float> Cropped(const Image<float>& image, const Roi& roi) {
@@ -90,12 +99,13 @@ AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, Struct
 StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBuffer& buffer, double noise_sigma) const {
   const Texture texture = TextureOf(buffer.InBuffer(region), buffer);
   if (!learn_) return {static_cast<float>(kFixedScale * noise_sigma * noise_sigma * (1.0 + 0.03 * texture.frames)), kFixedDelta};
-  const double scale = std::max(texture.scale, kScaleMin * noise_sigma);
+  const double mean = std::max(texture.mean, kScaleMin * noise_sigma);
+  const double scale = std::sqrt(mean * std::max(texture.rms, mean));
   const double variance = noise_sigma * noise_sigma;
   const double hidden = kHidden * scale * noise_sigma * 2.0 / (1.0 + texture.frames);
   StructureWeight weight;
   weight.lambda = static_cast<float>(std::exp(log_factor_) * KindFactor(kind_) * kScale * variance / (scale * scale + hidden));
-  weight.delta = static_cast<float>(kDeltaPerDifference * scale);
+  weight.delta = static_cast<float>(kDeltaPerDifference * mean * (1.0 + 1.0 / texture.frames));
   return weight;
 }
 

@@ -23,7 +23,7 @@ struct ChainEntry {
 struct SceneSnapshot {
   int scene_id = 0;             // Within the window.
   Roi extent;                   // Cells of the segment's scene plane.
-  Image<float> intensity;       // Internal grey levels; 0 where never seen.
+  Image<float> intensity;       // InEmittedBand of the scene; internal grey levels; 0 where never seen.
   Image<float> information;     // About how many frames have seen each cell; 0: never.
   // With EngineOptions::uncertainty, else empty; internal grey levels, 0 where never seen.
   Image<float> sigma;           // Standard deviation of the intensity's error, see SceneSigma.

@@ -1,4 +1,5 @@
 // What a segment leaves of its scene.
+#include "worker/tre/emitted_band.h"
 #include "worker/tre/segment.h"
 
 namespace trem {
@@ -19,7 +20,7 @@ Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
   }
   SceneSnapshot snapshot;
   snapshot.extent = buffer_.extent;
-  snapshot.intensity = buffer_.scene;
+  snapshot.intensity = InEmittedBand(buffer_.scene);
   snapshot.information = buffer_.seen;
   snapshot.frame_begin = first_unemitted_;
   snapshot.frame_end = last_added_ + 1;

@@ -5,6 +5,7 @@
 
 #include "mosaic/base/rng.h"
 #include "worker/sensor/bicubic.h"
+#include "worker/tre/emitted_band.h"
 
 namespace trem {
 namespace {
@@ -156,7 +157,7 @@ Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual,
   Image<float> variance(buffer.scene.width(), buffer.scene.height());
   for (int probe = 0; probe < options.probes; ++probe) {
     DrawRightHandSide(buffer, noise_sigma, options.seed, probe, &p);
-    const Image<float> draw = Solve(buffer, p, lambda * prior.curvature_max(), options.iterations, blur);
+    const Image<float> draw = InEmittedBand(Solve(buffer, p, lambda * prior.curvature_max(), options.iterations, blur));
     for (std::size_t k = 0; k < variance.pixels().size(); ++k) {
       variance.pixels()[k] += draw.pixels()[k] * draw.pixels()[k] / static_cast<float>(options.probes);
     }
