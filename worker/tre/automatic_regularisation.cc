@@ -17,8 +17,6 @@ constexpr double kDeltaPerDifference = 1.0;
 // Without learning.
 constexpr double kFixedScale = 0.0125 / 4.0;
 constexpr float kFixedDelta = 4.0F;
-// The finest scene's weight over the best predicting one's.
-constexpr double kFinestOverPredicting = 1.0;
 // Standard deviation of log f before anything was predicted, and how much of what was learnt a probe keeps: scenes change.
 constexpr double kLogFactorSigma = 0.7;
 constexpr double kKept = 0.9;
@@ -147,7 +145,7 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   tile.majoriser = Cropped(buffer.majoriser, crop);
   StructureWeight weight = Weight(region, buffer, noise_sigma);
   Probe probe{inner, extent, {}, {}};
-  const float middle = weight.lambda / static_cast<float>(kFinestOverPredicting);
+  const float middle = weight.lambda;
   weight.lambda = 0.5F * middle;
   probe.less = Predicted(tile, inner, weight);
   weight.lambda = 2.0F * middle;

@@ -18,19 +18,19 @@ struct StructureWeight {
 
 // Finds the weight of the structure prior from the data, frame by frame, in two steps.
 //
-// 1. Scale. With m = mean |difference of neighbouring seen cells| of the present scene, and n the frames that have seen them,
+// 1. Scale. With m = mean and r = root mean square of |difference of neighbouring seen cells| of the present scene, s = sqrt(m r), and n
+//    the frames that have seen them,
 //
-//      lambda_0 = c sigma^2 / (m^2 + 2 v m sigma / (1 + n)),   delta = 3 m,
+//      lambda_0 = c sigma^2 / (s^2 + 2 v s sigma / (1 + n)),   delta = m (1 + 1 / n),
 //
-//    so that a scene of twice the contrast under twice the noise is twice the scene. The second part stands for the differences that
-//    the prior itself has taken away, most of all from a single frame.
+//    so that a scene of twice the contrast under twice the noise is twice the scene. The second part of the denominator stands for the
+//    differences that the prior itself has taken away, most of all from a single frame.
 // 2. Prediction. lambda = f lambda_0, where log f is the state of a recursive prediction-error estimate: after each frame a small probe
 //    (a tile of the scene, another place every time) is iterated under half and under twice the weight; the next frame, before it is
 //    used, tells which of the two predicts it better. With r its residuals and d = dP / d log f by the two probes,
 //      J <- kept J + sum d^2 / sigma^2,   log f <- log f + (sum r d / sigma^2) / J.
-//    It accounts for whatever limits prediction: texture, noise, views, a wrong PSF. The weight that predicts best is a little less than
-//    the weight that shows the finest scene, because what the PSF hides from prediction is noise alone; the ratio is nearly
-//    the same for all scenes and is a constant here.
+//    It accounts for whatever limits prediction: texture, noise, views, a wrong PSF. The weight that predicts best is
+//    near the one that shows the finest scene in the band that is handed out (emitted_band.h).
 //
 // Without learning lambda = 0.0031 sigma^2 (1 + 0.03 n), delta = 4, whatever the scene.
 //

@@ -124,15 +124,13 @@ Image<float> BoxMean(const Image<float>& image, int reach) {
   return pass(pass(image, true), false);
 }
 
-// From the draws' variance to the error's. Most of the error against truth is not what the draws say: the structure prior allows far more
-// at the finest scales than scenes have (the small factor), and smooths their edges (in proportion to the slope, more while few frames have
-// been seen). The three constants are a gamma regression of squared errors on simulated sequences of a procedural and a natural scene, 10,
-// 30 and 60 frames, adjusted on further crops so that the tails are covered, too; tests/unit/worker/tre/uncertainty_test.cc measures the coverage.
-float CalibratedVariance(float draws, float slope2, float seen) {
-  constexpr float kDraws = 0.043F;
-  constexpr float kSlope = 0.188F;
-  constexpr float kSlopeOfFewFrames = 2.35F;
-  return kDraws * draws + (kSlope + kSlopeOfFewFrames / std::max(seen, 1.0F)) * slope2;
+// From the draws' variance to the error's. In the emitted band the draws nearly are the error; what is left is that edges are smoothed, in
+// proportion to the slope. The two constants make one and two standard deviations cover 68 and 95 % on simulated sequences of a procedural
+// and a natural scene, 10, 30 and 60 frames; tests/unit/worker/tre/uncertainty_test.cc measures the coverage on others.
+float CalibratedVariance(float draws, float slope2) {
+  constexpr float kDraws = 0.78F;
+  constexpr float kSlope = 0.071F;
+  return kDraws * draws + kSlope * slope2;
 }
 
 // Squared slope of the scene [(grey levels a cell)^2].
@@ -169,7 +167,7 @@ Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual,
   for (std::size_t k = 0; k < sigma.pixels().size(); ++k) {
     if (!(buffer.seen.pixels()[k] > 0.0F)) continue;
     const float misfit = std::max(residual.pixels()[k] / noise, 1.0F);
-    sigma.pixels()[k] = std::sqrt(CalibratedVariance(misfit * misfit * variance.pixels()[k], slope2.pixels()[k], buffer.seen.pixels()[k]));
+    sigma.pixels()[k] = std::sqrt(CalibratedVariance(misfit * misfit * variance.pixels()[k], slope2.pixels()[k]));
   }
   return sigma;
 }
