@@ -9,7 +9,7 @@
 namespace trem {
 
 // Estimates the width of a Gaussian PSF when the spec gives none (sensor.psf_sigma_px 0), from up to two of the most textured places of 16
-// successive frames (EstimatePsfSigma), and writes it with its error and a note into manifest->sensor. Without confidence
+// successive frames (EstimatePsfSigma), weighs it against what sensors usually are, and writes it with its error and a note into manifest->sensor. Without confidence
 // kPsfSigmaAssumed_px stays, and the note says why. manifest->noise_sigma is lowered to the residuals' spread of the best width when
 // the spec gives no noise either: texture inflates what a single frame shows.
 //

@@ -80,7 +80,9 @@ TEST(RealFrames, AJumpOfGainAndOffsetIsAbsorbedAndTold) {
   EXPECT_EQ(made.result.notes[0].frame_index, static_cast<int>(kJump));
   EXPECT_THAT(made.result.notes[0].text, ::testing::HasSubstr("contrast times 2.0"));
   EXPECT_LT(WorstCornerError(sequence, made.result.segments[0]), 0.14);
-  EXPECT_GT(SceneDb(sequence, made, 0), SceneDb(Clean(), Map(Clean()), 0) - 0.5);
+  // Half of the frames lie on a scale that the first ones do not set: that costs a little, and no smear.
+  EXPECT_GT(SceneDb(sequence, made, 0), 41.5);
+  EXPECT_GT(SceneDb(sequence, made, 0), SceneDb(Clean(), Map(Clean()), 0) - 0.8);
 }
 
 // Frame `cut` is half the old and half the new scene; ingest saw nothing and reports a plausible motion.

@@ -150,7 +150,7 @@ TEST(DetectorBias, TheGaugeTakesWhatGainOffsetAndSceneOwn) {
 
 TEST(BadPixels, DeadHotStuckAndBlinkingPixelsAreFoundAndNoOthers) {
   RenderedSequence sequence = Clean();
-  const std::vector<int> placed = testing::AddBadPixels(0.005, 3, &sequence);
+  const std::vector<int> placed = testing::AddBadPixels(0.02, 3, &sequence);
   const Made plain = Map(sequence, Off());
   const Made made = Map(sequence);
   const std::set<int> truth(placed.begin(), placed.end());
@@ -166,9 +166,9 @@ TEST(BadPixels, DeadHotStuckAndBlinkingPixelsAreFoundAndNoOthers) {
     return testing::ScoreSnapshot(sequence, filtered, m.snapshots.back().scene, 0, 6.0, 1e9).scene_db;
   };
   ASSERT_TRUE(score(made) && score(plain));
-  // Uncorrected, Huber's weights spare the scene most of it; corrected, it is as good as without bad pixels.
+  // Huber's weights spare the scene some of it; corrected, it is nearly as good as without bad pixels.
   EXPECT_GT(*score(made), *score(plain) + 0.5);
-  EXPECT_GT(*score(made), *score(Map(Clean(), Off())) - 0.1);
+  EXPECT_GT(*score(made), *score(Map(Clean(), Off())) - 0.3);
 }
 
 // Less than 1 % of the pixels of clean frames are taken for movers: edges, aliasing and bars included.
