@@ -219,8 +219,10 @@ TEST(DescribeSortie, TheWidthOfThePsfIsEstimatedWithItsError) {
   v1::Sortie sortie = SortieAt(folder / "frames");
   const auto manifest = DescribeSortie(sortie, {});
   ASSERT_TRUE(manifest.ok()) << manifest.status().message();
-  EXPECT_NEAR(manifest->sensor().psf_sigma_px(), 0.68, 0.11) << NoteText(*manifest, "psf_estimate");
-  EXPECT_GT(manifest->sensor().psf_sigma_error_px(), 0.0);
+  // Towards the truth of 0.70 from what sensors usually are, and not as far as the frames alone say.
+  EXPECT_GT(manifest->sensor().psf_sigma_px(), 0.56) << NoteText(*manifest, "psf_estimate");
+  EXPECT_LT(manifest->sensor().psf_sigma_px(), 0.60) << NoteText(*manifest, "psf_estimate");
+  EXPECT_NEAR(manifest->sensor().psf_sigma_error_px(), 0.056, 0.005);
   EXPECT_NEAR(manifest->noise_sigma(), 2.1, 0.3);
   EXPECT_NEAR(manifest->sensor().ceiling_cycles_per_px(), 1.0 / 0.9, 1e-12);
   v1::TaskSpec spec;
