@@ -1,4 +1,5 @@
 // What a segment leaves of its scene.
+#include "worker/tre/close_gaps.h"
 #include "worker/tre/emitted_band.h"
 #include "worker/tre/segment.h"
 
@@ -21,7 +22,7 @@ Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
   SceneSnapshot snapshot;
   snapshot.extent = buffer_.extent;
   snapshot.intensity = InEmittedBand(buffer_.scene);
-  snapshot.information = buffer_.seen;
+  snapshot.information = CloseGaps(buffer_.seen, kSeenMin, options_.ratio);
   snapshot.frame_begin = first_unemitted_;
   snapshot.frame_end = last_added_ + 1;
   if (options_.uncertainty) AddUncertainty(noise_sigma, &snapshot);
