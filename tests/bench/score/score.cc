@@ -6,9 +6,9 @@
 #include <cmath>
 #include <limits>
 #include <nlohmann/json.hpp>
-#include <opencv2/imgproc.hpp>
 #include <vector>
 
+#include "tests/bench/score/fidelity.h"
 #include "tests/bench/score/patch_shifts.h"
 #include "tests/bench/score/rasters.h"
 
@@ -17,8 +17,6 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr double kPatchRadiusPx = 6.0;  // Sensor pixels.
-
-cv::Mat View(const Image<float>& image) { return cv::Mat(image.height(), image.width(), CV_32F, const_cast<float*>(image.row(0))); }
 
 // Means of `factor` x `factor` pixels; NaN when one is.
 Image<float> Shrink(const Image<float>& image, int factor) {
@@ -33,73 +31,6 @@ Image<float> Shrink(const Image<float>& image, int factor) {
     }
   }
   return small;
-}
-
-// One gain and offset that bring `image` closest to `truth` over the finite pixels.
-void FitToTruth(const Image<float>& truth, Image<float>* image) {
-  double n = 0, sx = 0, sy = 0, sxx = 0, sxy = 0;
-  for (std::size_t i = 0; i < truth.pixels().size(); ++i) {
-    const double x = image->pixels()[i];
-    const double y = truth.pixels()[i];
-    if (!std::isfinite(x) || !std::isfinite(y)) continue;
-    n += 1, sx += x, sy += y, sxx += x * x, sxy += x * y;
-  }
-  const double spread = n * sxx - sx * sx;
-  const double gain = spread > 0.0 ? (n * sxy - sx * sy) / spread : 0.0;
-  const double offset = n > 0.0 ? (sy - gain * sx) / n : 0.0;
-  for (float& value : image->pixels()) value = static_cast<float>(gain * value + offset);
-}
-
-double Psnr(const Image<float>& truth, const Image<float>& image) {
-  double squares = 0.0;
-  double count = 0.0;
-  for (std::size_t i = 0; i < truth.pixels().size(); ++i) {
-    const double error = static_cast<double>(image.pixels()[i]) - truth.pixels()[i];
-    if (!std::isfinite(error)) continue;
-    squares += error * error;
-    count += 1.0;
-  }
-  // A perfect mosaic would be infinite, which JSON cannot say.
-  return count > 0.0 ? 10.0 * std::log10(255.0 * 255.0 / std::max(squares / count, 1e-9)) : 0.0;
-}
-
-// Mean structural similarity over the pixels whose window holds compared pixels only.
-double Ssim(const Image<float>& truth, const Image<float>& image) {
-  cv::Mat a = View(truth).clone();
-  cv::Mat b = View(image).clone();
-  cv::Mat valid(a.rows, a.cols, CV_8U);
-  for (int y = 0; y < a.rows; ++y) {
-    for (int x = 0; x < a.cols; ++x) {
-      const bool finite = std::isfinite(a.at<float>(y, x)) && std::isfinite(b.at<float>(y, x));
-      valid.at<std::uint8_t>(y, x) = finite ? 255 : 0;
-      if (!finite) a.at<float>(y, x) = b.at<float>(y, x) = 0.0F;
-    }
-  }
-  cv::erode(valid, valid, cv::Mat::ones(11, 11, CV_8U), {-1, -1}, 1, cv::BORDER_CONSTANT, cv::Scalar(0));
-  const auto blur = [](const cv::Mat& m) {
-    cv::Mat wide, out;
-    m.convertTo(wide, CV_64F);
-    cv::GaussianBlur(wide, out, {11, 11}, 1.5);
-    return out;
-  };
-  cv::Mat a64, b64;
-  a.convertTo(a64, CV_64F);
-  b.convertTo(b64, CV_64F);
-  const cv::Mat ma = blur(a64), mb = blur(b64), aa = blur(a64.mul(a64)), bb = blur(b64.mul(b64)), ab = blur(a64.mul(b64));
-  constexpr double kC1 = 0.01 * 255 * 0.01 * 255;
-  constexpr double kC2 = 0.03 * 255 * 0.03 * 255;
-  double sum = 0.0;
-  double count = 0.0;
-  for (int y = 0; y < a.rows; ++y) {
-    for (int x = 0; x < a.cols; ++x) {
-      if (valid.at<std::uint8_t>(y, x) == 0) continue;
-      const double u = ma.at<double>(y, x), v = mb.at<double>(y, x);
-      const double su = aa.at<double>(y, x) - u * u, sv = bb.at<double>(y, x) - v * v, suv = ab.at<double>(y, x) - u * v;
-      sum += (2 * u * v + kC1) * (2 * suv + kC2) / ((u * u + v * v + kC1) * (su + sv + kC2));
-      count += 1.0;
-    }
-  }
-  return count > 0.0 ? sum / count : 0.0;
 }
 
 // `grid` with `margin` more pixels on every side.
@@ -194,10 +125,8 @@ Result<Score> ScoreMosaic(const std::filesystem::path& simulation, const std::fi
       score.pixel_count += both ? 1 : 0;
     }
   }
-  FitToTruth(images.truth, &images.bicubic);
-  FitToTruth(images.truth, &images.mosaic);
-  score.mosaic = {Psnr(images.truth, images.mosaic), Ssim(images.truth, images.mosaic)};
-  score.bicubic = {Psnr(images.truth, images.bicubic), Ssim(images.truth, images.bicubic)};
+  score.mosaic = FitAndCompare(images.truth, &images.mosaic);
+  score.bicubic = FitAndCompare(images.truth, &images.bicubic);
   score.gain_db = score.mosaic.psnr_db - score.bicubic.psnr_db;
   if (compared != nullptr) *compared = std::move(images);
   return score;
@@ -218,8 +147,8 @@ std::string ToTable(const Score& s) {
       s.pixel_count, s.mosaic_gsd_m, s.sensor_gsd_m);
 }
 
-std::string ToJson(const Score& s) {
-  const nlohmann::ordered_json json = {{"coverage", s.coverage},
+std::string ToJson(const Score& s, const Substitution* substitution) {
+  nlohmann::ordered_json json = {{"coverage", s.coverage},
                                        {"absolute_error_m", s.absolute_error_m},
                                        {"shift_e_m", s.shift_e_m},
                                        {"shift_n_m", s.shift_n_m},
@@ -238,6 +167,19 @@ std::string ToJson(const Score& s) {
                                        {"pixels", s.pixel_count},
                                        {"sensor_gsd_m", s.sensor_gsd_m},
                                        {"mosaic_gsd_m", s.mosaic_gsd_m}};
+  if (substitution != nullptr) {
+    const Placement& placement = substitution->placement;
+    json["truly_placed_psnr_db"] = substitution->truly_placed.psnr_db;
+    json["truly_placed_ssim"] = substitution->truly_placed.ssim;
+    json["placement_loss_db"] = substitution->truly_placed.psnr_db - s.mosaic.psnr_db;
+    json["scenes"] = placement.scene_count;
+    json["scene_error_m"] = placement.error_m;
+    json["scene_relative_error_m"] = placement.relative_error_m;
+    json["scene_sigma_m"] = placement.sigma_m;
+    json["within_one_sigma"] = placement.within_one_sigma;
+    json["within_two_sigma"] = placement.within_two_sigma;
+    for (const Substitute& other : substitution->others) json["substitutes"][other.what] = other.fidelity.psnr_db;
+  }
   return json.dump(2);
 }
 

@@ -6,18 +6,14 @@
 
 #include "mosaic/base/image.h"
 #include "mosaic/base/status.h"
+#include "tests/bench/score/fidelity.h"
+#include "tests/bench/score/substitution.h"
 
 namespace trem::score {
 
 struct ScoreOptions {
   int patch_px = 56;      // Side of a patch, sensor pixels.
   double search_m = 0.0;  // How far off the whole mosaic may be. 0: 12 sensor pixels, at least twice the GPS bias + 2 m.
-};
-
-// Agreement with the truth after one gain and offset.
-struct Fidelity {
-  double psnr_db = 0.0;  // Peak 255.
-  double ssim = 0.0;     // Gaussian window, sigma 1.5 (Wang et al. 2004), at the mosaic's resolution.
 };
 
 struct Score {
@@ -59,6 +55,7 @@ Result<Score> ScoreMosaic(const std::filesystem::path& simulation, const std::fi
 Status WritePicture(const Compared& compared, const std::filesystem::path& path);
 
 std::string ToTable(const Score& score);
-std::string ToJson(const Score& score);
+// `substitution` may be null.
+std::string ToJson(const Score& score, const Substitution* substitution);
 
 }  // namespace trem::score
