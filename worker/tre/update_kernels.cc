@@ -31,7 +31,7 @@ void ResidualRowTarget(const float* in, const float* taps, int radius, const flo
 void StepIntoTarget(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out) {
   const hn::ScalableTag<float> d;
   using V = hn::Vec<decltype(d)>;
-  const std::size_t lanes = hn::Lanes(d);
+  const int lanes = static_cast<int>(hn::Lanes(d));
   const std::size_t end = static_cast<std::size_t>(count);
   const V high = hn::Set(d, weights.limit);
   const V low = hn::Set(d, -weights.limit);
@@ -43,9 +43,12 @@ void StepIntoTarget(const StepRow& row, const float* taps, int radius, const Ste
     const V start = hn::LoadU(d, row.start + x);
     V left = hn::LoadU(d, row.start + x - 1);
     V right = hn::LoadU(d, row.start + x + 1);
-    if (row.left_border && x == 0) left = hn::IfThenElse(hn::Eq(index, hn::Zero(d)), start, left);
-    if (row.right_border && x + lanes >= end) {
-      right = hn::IfThenElse(hn::Eq(index, hn::Set(d, static_cast<float>(end - 1 - x))), start, right);
+    const int from = static_cast<int>(x);
+    if (row.left_border >= from && row.left_border < from + lanes) {
+      left = hn::IfThenElse(hn::Eq(index, hn::Set(d, static_cast<float>(row.left_border - from))), start, left);
+    }
+    if (row.right_border >= from && row.right_border < from + lanes) {
+      right = hn::IfThenElse(hn::Eq(index, hn::Set(d, static_cast<float>(row.right_border - from))), start, right);
     }
     const V vertical = hn::Add(slope(start, hn::LoadU(d, row.above + x)), slope(start, hn::LoadU(d, row.below + x)));
     const V slopes = hn::Add(vertical, hn::Add(slope(start, left), slope(start, right)));

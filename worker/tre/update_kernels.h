@@ -19,8 +19,8 @@ struct StepRow {
   const float* above = nullptr;     // Its rows above and below; `start` itself at the region's border.
   const float* below = nullptr;
   const float* majoriser = nullptr;  // Row of an image.
-  bool left_border = false;          // The first cell is the region's first: it has no difference to its left.
-  bool right_border = false;         // The last cell is the region's last.
+  int left_border = -1;              // Cell that is the region's first, it has no difference to its left; -1: none of them.
+  int right_border = -1;             // Cell that is the region's last.
 };
 
 struct StepWeights {

@@ -10,7 +10,8 @@
 namespace trem {
 namespace {
 
-// Lines begin at multiples of this many floats of the image's columns: whole cache lines.
+// Lines begin at multiples of this many floats of the image's columns: whole cache lines. Kernels begin there, too, left of what is
+// wanted: what they make of the columns before it is not read.
 constexpr int kAlign = 16;
 // Rows that a filter makes at a time.
 constexpr int kBlock = 16;
@@ -51,7 +52,7 @@ void UpdateSweep::Prepare(const Roi& tile, std::span<const float> momenta) {
     out = Intersect(region_, step.support);
   }
   const Roi& widest = steps_[0].support;
-  origin_ = AlignedDown(widest.x0 - radius - 1);
+  origin_ = AlignedDown(AlignedDown(widest.x0) - radius - 1);
   stride_ = AlignedDown(widest.x1 + radius + 1 - origin_ + kRowSlack + kAlign);
   // How far each stage may be ahead of the oldest row that is still read, when every stage works in blocks.
   for (std::size_t k = 0; k < count_; ++k) {
@@ -111,14 +112,15 @@ void UpdateSweep::MakeExtrapolated(std::size_t k, int last) {
     }
     const int begin = std::max(region_.x0, support.x0);
     const int end = std::min(region_.x1, support.x1);
-    const float* now = planes_.scene->row(y) + begin;
-    const float* before = planes_.previous->row(y) + begin;
+    const int first = AlignedDown(begin);
+    const float* now = planes_.scene->row(y) + first;
+    const float* before = planes_.previous->row(y) + first;
     if (k > 0) {
       MakeResult(k - 1, y);
-      before = k == 1 ? now : Line(steps_[k - 2].result.row(y), begin);
-      now = Line(steps_[k - 1].result.row(y), begin);
+      before = k == 1 ? now : Line(steps_[k - 2].result.row(y), first);
+      now = Line(steps_[k - 1].result.row(y), first);
     }
-    ExtrapolateRow(now, before, step.momentum, end - begin, Line(line, begin));
+    ExtrapolateRow(now, before, step.momentum, end - first, Line(line, first));
     FillBeside(y, support.x0, begin, end, support.x1, line);
   }
 }
@@ -132,15 +134,16 @@ void UpdateSweep::MakeResidual(std::size_t k, int last) {
     const int count = std::min(kBlock, context.y1 - first);
     step.next_residual += count;
     MakeExtrapolated(k, std::min(first + count - 1 + radius, height() - 1));
-    const int begin = AlignedDown(std::max(context.x0 - radius, 0));
+    const int x0 = AlignedDown(context.x0);
+    const int begin = AlignedDown(std::max(x0 - radius, 0));
     for (int j = 0; j < count + 2 * radius; ++j) {
       rows_[static_cast<std::size_t>(j)] = Line(step.extrapolated.row(ReflectIndex(first + j - radius, height())), begin);
     }
-    FilterBlock(count, context.x0, context.x1);
+    FilterBlock(count, x0, context.x1);
     for (int i = 0; i < count; ++i) {
       const int y = first + i;
-      ResidualRow(Line(block_.row(i), context.x0), psf_.taps.data(), radius, planes_.weight->row(y) + context.x0,
-                  planes_.weighted->row(y) + context.x0, context.width(), Line(step.residual.row(y), context.x0));
+      ResidualRow(Line(block_.row(i), x0), psf_.taps.data(), radius, planes_.weight->row(y) + x0, planes_.weighted->row(y) + x0,
+                  context.x1 - x0, Line(step.residual.row(y), x0));
     }
   }
 }
@@ -155,23 +158,24 @@ void UpdateSweep::MakeResult(std::size_t k, int last) {
     step.next_result += count;
     MakeResidual(k, std::min(first + count - 1 + radius, height() - 1));
     if (radius == 0) MakeExtrapolated(k, std::min(first + count, step.support.y1 - 1));
-    const int begin = AlignedDown(std::max(out.x0 - radius, 0));
+    const int x0 = AlignedDown(out.x0);
+    const int begin = AlignedDown(std::max(x0 - radius, 0));
     for (int j = 0; j < count + 2 * radius; ++j) {
       rows_[static_cast<std::size_t>(j)] = Line(step.residual.row(ReflectIndex(first + j - radius, height())), begin);
     }
-    FilterBlock(count, out.x0, out.x1);
+    FilterBlock(count, x0, out.x1);
     for (int i = 0; i < count; ++i) {
       const int y = first + i;
       StepRow row;
-      row.residual = Line(block_.row(i), out.x0);
-      row.start = Line(step.extrapolated.row(y), out.x0);
-      row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), out.x0) : row.start;
-      row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), out.x0) : row.start;
-      row.majoriser = planes_.majoriser->row(y) + out.x0;
-      row.left_border = out.x0 == region_.x0;
-      row.right_border = out.x1 == region_.x1;
+      row.residual = Line(block_.row(i), x0);
+      row.start = Line(step.extrapolated.row(y), x0);
+      row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), x0) : row.start;
+      row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), x0) : row.start;
+      row.majoriser = planes_.majoriser->row(y) + x0;
+      if (out.x0 == region_.x0) row.left_border = out.x0 - x0;
+      if (out.x1 == region_.x1) row.right_border = out.x1 - 1 - x0;
       float* line = step.result.row(y);
-      StepInto(row, psf_.taps.data(), radius, weights_, out.width(), Line(line, out.x0));
+      StepInto(row, psf_.taps.data(), radius, weights_, out.x1 - x0, Line(line, x0));
       WriteResult(k, y, line);
     }
   }
@@ -194,7 +198,7 @@ void UpdateSweep::WriteResult(std::size_t k, int y, const float* line) {
 void UpdateSweep::MakePrediction(int first, int last_end) {
   Step& last = steps_[count_ - 1];
   const int radius = psf_.radius();
-  const int begin = std::max(tile_.x0 - radius, 0);
+  const int begin = AlignedDown(std::max(tile_.x0 - radius, 0));
   const int end = std::min(tile_.x1 + radius, width());
   int row = last.next_result;
   MakeResult(count_ - 1, std::min(last_end - 1 + radius, last.out.y1 - 1));
