@@ -1,8 +1,10 @@
 // trem-coordinator: binds the endpoint, opens the log, and turns messages into events until it is told to stop.
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -11,6 +13,7 @@
 #include <memory>
 #include <string>
 
+#include "coordinator/app/gate.h"
 #include "coordinator/app/shell.h"
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
@@ -39,6 +42,9 @@ struct CommandLine {
   std::string store_folder;
   std::string endpoint;
   std::string ready_file;
+  std::string key_path;
+  std::string allow_folder;
+  int connections_max = 4096;
   std::string log_level = "info";
   bool die_with_parent = false;
   ShellOptions shell;
@@ -47,7 +53,12 @@ struct CommandLine {
 void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--state", options->state_folder, "Folder of the event log; created when missing")->required();
   app->add_option("--store", options->store_folder, "Folder of the artefact store, shared with workers and clients")->required();
-  app->add_option("--bind", options->endpoint, "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one)")->required();
+  app->add_option("--bind", options->endpoint, "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one); with --key any address, tcp://*:PORT")->required();
+  app->add_option("--key", options->key_path, "Secret key file of this coordinator (`trem keys`); then only peers with an allowed key get in");
+  app->add_option("--allow", options->allow_folder, "Folder of the .pub files of all keys that are let in; changes take effect at once");
+  app->add_option("--connections-max", options->connections_max, "Further connections are closed")
+      ->check(CLI::Range(1, 1'000'000))
+      ->capture_default_str();
   app->add_option("--ready-file", options->ready_file, "Write the endpoint, with its real port, to this file once bound");
   app->add_option("--log-level", options->log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   app->add_flag("--die-with-parent", options->die_with_parent, "Stop when the process that started this one ends");
@@ -57,7 +68,9 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--heartbeat-ms", options->shell.heartbeat_interval_ms, "Interval of heartbeats; a worker silent for 8 of them is lost")
       ->check(CLI::Range(10U, 60'000U))
       ->capture_default_str();
-  app->footer("Example:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7707");
+  app->footer(
+      "Examples:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7411\n"
+      "  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind 'tcp://*:7411' --key coordinator.key --allow allowed/");
 }
 
 // PR_SET_PDEATHSIG asks for SIGTERM when the parent ends; a parent that ended before that is noticed by its changed id.
@@ -71,7 +84,31 @@ TimeMs NowMs() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
 
-Status Serve(RouterChannel* channel, Shell* shell) {
+// As many descriptors as the system allows: every connection takes one.
+int RaiseDescriptorLimit() {
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return 1024;
+  limit.rlim_cur = limit.rlim_max;
+  (void)::setrlimit(RLIMIT_NOFILE, &limit);
+  (void)::getrlimit(RLIMIT_NOFILE, &limit);
+  return static_cast<int>(std::min<rlim_t>(limit.rlim_cur, 1'000'000));
+}
+
+Result<ChannelOptions> MakeChannelOptions(const CommandLine& options) {
+  constexpr int kOwnDescriptors = 128;
+  ChannelOptions channel;
+  channel.connections_max = std::max(1, std::min(options.connections_max, RaiseDescriptorLimit() - kOwnDescriptors));
+  if (options.key_path.empty() != options.allow_folder.empty()) return InvalidInput("--key and --allow belong together");
+  if (options.key_path.empty()) return channel;
+  TREM_ASSIGN_OR_RETURN(channel.own_key, ReadSecretKey(options.key_path));
+  if (channel.own_key->role() != v1::COORDINATOR) {
+    return InvalidInput("key file " + options.key_path + " has the role " + RoleName(channel.own_key->role()) + "; expected coordinator");
+  }
+  TREM_ASSIGN_OR_RETURN(channel.allow_list, AllowList::Open(options.allow_folder));
+  return channel;
+}
+
+Status Serve(RouterChannel* channel, Gate* gate, Shell* shell) {
   TimeMs last_tick_ms = 0;
   while (!stop_requested && !shell->shutdown_requested()) {
     bool drained = false;
@@ -79,10 +116,11 @@ Status Serve(RouterChannel* channel, Shell* shell) {
       const auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 ? kTickIntervalMs : 0));
       drained = !incoming.has_value();
       if (drained) break;
-      if (incoming->envelope.ok()) {
-        shell->Receive(NowMs(), incoming->peer, *incoming->envelope);
-      } else {
-        shell->ReceiveBroken(incoming->peer, incoming->envelope.status());
+      const TimeMs arrived_ms = NowMs();
+      if (const Status admitted = gate->Admit(arrived_ms, *incoming); admitted.ok()) {
+        shell->Receive(arrived_ms, incoming->peer, *incoming->envelope);
+      } else if (gate->MayAnswer(arrived_ms, incoming->peer)) {
+        shell->ReceiveBroken(incoming->peer, admitted);
       }
     }
     const TimeMs now_ms = NowMs();
@@ -98,6 +136,7 @@ Status Serve(RouterChannel* channel, Shell* shell) {
 
 Status RunCoordinator(const CommandLine& options, pid_t parent) {
   if (options.die_with_parent) TREM_RETURN_IF_ERROR(TieToParent(parent));
+  TREM_ASSIGN_OR_RETURN(const ChannelOptions channel_options, MakeChannelOptions(options));
   TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
                         EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
@@ -107,12 +146,13 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
       const std::unique_ptr<Shell> shell,
       Shell::Create(std::move(events), std::move(artefacts), options.shell,
                     [&channel](const std::string& peer, const v1::Envelope& envelope) { return channel->Send(peer, envelope); }));
-  TREM_ASSIGN_OR_RETURN(channel, RouterChannel::Bind(options.endpoint));
+  TREM_ASSIGN_OR_RETURN(channel, RouterChannel::Bind(options.endpoint, channel_options));
   channel_to_wake = channel.get();
+  Gate gate;
   spdlog::info("listening on {}", channel->endpoint());
   Status status;
   if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n");
-  if (status.ok()) status = Serve(channel.get(), shell.get());
+  if (status.ok()) status = Serve(channel.get(), &gate, shell.get());
   channel_to_wake = nullptr;
   if (status.ok()) spdlog::info("stopped; everything that was acknowledged is in the log");
   return status;

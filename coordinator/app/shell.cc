@@ -274,10 +274,11 @@ void Shell::ReplyJobStatus(const std::string& peer, const std::string& job_id) {
 
 void Shell::ReplyJobList(const std::string& peer) {
   v1::Envelope reply;
+  v1::JobList* list = reply.mutable_job_list();  // Made even when there is no job: an empty list is an answer too.
   for (v1::JobStatus& status : scheduler_.JobStatuses()) {
     status.clear_notes();  // GetJob tells them; thousands of jobs with notes would not fit one message.
     status.set_store_path(artefacts_.root().string());
-    *reply.mutable_job_list()->add_jobs() = std::move(status);
+    *list->add_jobs() = std::move(status);
   }
   SendTo(peer, std::move(reply));
 }

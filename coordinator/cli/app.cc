@@ -14,6 +14,7 @@
 
 #include "coordinator/cli/child_process.h"
 #include "coordinator/cli/client_commands.h"
+#include "coordinator/cli/keys_command.h"
 #include "coordinator/cli/plan_command.h"
 #include "coordinator/cli/run_command.h"
 #include "coordinator/cli/terminal.h"
@@ -44,6 +45,7 @@ struct Request {
   std::vector<std::string> overrides;
   std::string job_id;
   std::string output;
+  std::string role;
   std::string store;
   std::string work_folder;
   bool json = false;
@@ -77,6 +79,8 @@ CLI::App* AddRemoteCommand(CLI::App* app, Request* request, const std::string& n
   command->add_option("--coordinator", request->remote.coordinator, "Endpoint of the coordinator, for example tcp://127.0.0.1:7411")
       ->envname("TREM_COORDINATOR")
       ->required();
+  command->add_option("--key", request->remote.key, "Your .key file (`trem keys`), where the coordinator asks for keys")->envname("TREM_KEY");
+  command->add_option("--coordinator-key", request->remote.coordinator_key, "The coordinator's .pub file")->envname("TREM_COORDINATOR_KEY");
   command->add_flag("--json", request->remote.json, "Print JSON");
   command->add_flag("-q,--quiet", request->remote.quiet, "No progress and no summary");
   return command;
@@ -143,6 +147,21 @@ void AddSubmitAndFetch(CLI::App* app, Request* request) {
   fetch->callback([request] {
     request->action = [request] { return RunFetchCommand(request->remote, request->job_id, request->output, request->store); };
   });
+}
+
+void AddKeysCommand(CLI::App* app, Request* request) {
+  CLI::App* command = app->add_subcommand("keys", "Make a key pair, with which machines and people may talk to a coordinator");
+  command->add_option("NAME", request->job_id, "Whose key it is, a-z 0-9 -; shown in lists and logs")->required();
+  command->add_option("--role", request->role, "coordinator, worker, client (submit, watch, fetch) or admin (also stop and drain)")
+      ->required()
+      ->check(CLI::IsMember({"coordinator", "worker", "client", "admin"}));
+  command->add_option("-o,--output", request->output, "Folder for NAME.key (secret, mode 0600) and NAME.pub; default: here");
+  command->footer(
+      "The .key file stays where it is used; the .pub file goes into the coordinator's --allow folder (a worker's, client's or admin's)\n"
+      "or to everybody who talks to it (the coordinator's).\n\n"
+      "Examples:\n  trem keys hill-coordinator --role coordinator -o /etc/trem\n  trem keys cluster --role worker -o keys/");
+  command->callback(
+      [request] { request->action = [request] { return RunKeysCommand(request->job_id, request->role, request->output); }; });
 }
 
 void AddJobCommands(CLI::App* app, Request* request) {
@@ -228,6 +247,7 @@ int RunTrem(int argc, char** argv) {
   for (const WorkerCommand& command : kWorkerCommands) app.add_subcommand(command.name, command.description);
   AddSubmitAndFetch(&app, &request);
   AddJobCommands(&app, &request);
+  AddKeysCommand(&app, &request);
   if (first.empty()) {
     fmt::print(stderr, "{}", app.help());
     return kExitUsage;

@@ -24,8 +24,8 @@ StatusCode CodeFromWire(std::uint32_t code) {
 
 }  // namespace
 
-Client::Client(std::string endpoint, milliseconds patience, Idle idle)
-    : endpoint_(std::move(endpoint)), patience_(patience), idle_(std::move(idle)) {}
+Client::Client(std::string endpoint, milliseconds patience, Idle idle, KeyPaths keys)
+    : endpoint_(std::move(endpoint)), patience_(patience), idle_(std::move(idle)), keys_(std::move(keys)) {}
 
 Client::~Client() = default;
 
@@ -39,7 +39,8 @@ Result<v1::Envelope> Client::Ask(const v1::Envelope& question) {
   while (Clock::now() < deadline) {
     TREM_RETURN_IF_ERROR(Idled());
     if (!channel_) {
-      TREM_ASSIGN_OR_RETURN(channel_, DealerChannel::Connect(endpoint_));
+      TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(keys_.own, keys_.coordinator));
+      TREM_ASSIGN_OR_RETURN(channel_, DealerChannel::Connect(endpoint_, options));
     }
     const Status sent = channel_->Send(question, kIdleInterval);
     if (sent.code() == StatusCode::kUnavailable) continue;
@@ -54,7 +55,8 @@ Result<v1::Envelope> Client::Ask(const v1::Envelope& question) {
     channel_.reset();
   }
   channel_.reset();
-  return Unavailable("no coordinator answers at " + endpoint_ + " (waited " + std::to_string(patience_.count() / 1000) + " s)");
+  const std::string hint = keys_.own.empty() ? "" : "; one that does not allow this key, or has another key than the one named, is silent";
+  return Unavailable("no coordinator answers at " + endpoint_ + " (waited " + std::to_string(patience_.count() / 1000) + " s)" + hint);
 }
 
 Result<v1::JobStatus> Client::AskForJob(const v1::Envelope& question) {

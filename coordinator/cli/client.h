@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
 #include <functional>
 #include <memory>
 #include <string>
@@ -11,6 +12,12 @@
 
 namespace trem {
 
+// Files of keys, see ChannelOptionsOf; empty: no keys.
+struct KeyPaths {
+  std::filesystem::path own;
+  std::filesystem::path coordinator;
+};
+
 // Questions and answers with a coordinator, one at a time. Every question may be repeated without harm, so a lost one is asked again.
 class Client {
  public:
@@ -18,7 +25,7 @@ class Client {
   using Idle = std::function<Status()>;
 
   // `patience`: how long a question may stay unanswered. `idle` may be empty: then an interrupt (see interrupt.h) ends the wait.
-  Client(std::string endpoint, std::chrono::milliseconds patience, Idle idle = {});
+  Client(std::string endpoint, std::chrono::milliseconds patience, Idle idle = {}, KeyPaths keys = {});
   ~Client();
 
   // The answer; an ErrorReply becomes its Status; kUnavailable names the endpoint.
@@ -39,6 +46,7 @@ class Client {
   std::string endpoint_;
   std::chrono::milliseconds patience_;
   Idle idle_;
+  KeyPaths keys_;
   std::unique_ptr<DealerChannel> channel_;
 };
 

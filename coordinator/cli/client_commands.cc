@@ -38,7 +38,7 @@ int Report(const Status& status) {
 
 Client MakeClient(const RemoteOptions& remote) {
   CountInterrupts();
-  return Client(remote.coordinator, kPatience);
+  return Client(remote.coordinator, kPatience, {}, {remote.key, remote.coordinator_key});
 }
 
 Status CheckJobId(const std::string& job_id) {

@@ -8,7 +8,9 @@ namespace trem {
 
 // Options that every command for a running coordinator shares.
 struct RemoteOptions {
-  std::string coordinator;  // Endpoint.
+  std::string coordinator;      // Endpoint.
+  std::string key;              // Own .key file; empty: no keys.
+  std::string coordinator_key;  // The coordinator's .pub file.
   bool json = false;
   bool quiet = false;
 };

@@ -107,9 +107,9 @@ Result<std::string> ReadFile(const fs::path& path, std::uint64_t max_bytes) {
   }
 }
 
-Status WriteFileAtomically(const fs::path& path, std::string_view bytes) {
+Status WriteFileAtomically(const fs::path& path, std::string_view bytes, unsigned mode) {
   const fs::path temporary = TemporaryBeside(path);
-  FileDescriptor fd(::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
+  FileDescriptor fd(::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, mode));
   if (fd.get() < 0) return FromErrno("cannot create " + temporary.string(), errno);
   Status status = WriteAll(fd.get(), bytes, path);
   if (fd.Close() != 0 && status.ok()) status = FromErrno("cannot close " + temporary.string(), errno);

@@ -13,8 +13,8 @@ namespace trem {
 Result<std::string> ReadFile(const std::filesystem::path& path, std::uint64_t max_bytes);
 
 // Publishes `bytes` at `path`: writes a temporary file beside it, fsync, rename, fsync of the folder. Readers see the old file or the
-// whole new one. On failure nothing is left behind.
-Status WriteFileAtomically(const std::filesystem::path& path, std::string_view bytes);
+// whole new one. On failure nothing is left behind. `mode` is what the file may never exceed: 0600 for secrets.
+Status WriteFileAtomically(const std::filesystem::path& path, std::string_view bytes, unsigned mode = 0644);
 
 // Publishes an existing file at `target`: fsync, rename, fsync of the folder; copies first (same guarantees) when the two are on
 // different file systems.

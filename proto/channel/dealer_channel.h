@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -12,11 +13,15 @@
 
 namespace trem {
 
+// What a worker or client needs to talk to a coordinator with keys: its own .key file and the coordinator's .pub file. Both empty: no keys.
+// Errors: one without the other, a file that is no such key, or a coordinator's key that has another role.
+Result<ChannelOptions> ChannelOptionsOf(const std::filesystem::path& key, const std::filesystem::path& coordinator_key);
+
 // A worker's or client's end (DEALER). Reconnects by itself. All calls but Wake belong to the thread that made it.
 class DealerChannel {
  public:
   // `endpoint`: what RouterChannel::endpoint() says. Succeeds whether or not anybody listens there yet. Addresses other than ipc and IPv4
-  // loopback are refused: they would need keys.
+  // loopback need keys.
   static Result<std::unique_ptr<DealerChannel>> Connect(const std::string& endpoint, const ChannelOptions& options = {});
   ~DealerChannel();
 

@@ -1,33 +1,64 @@
 #include "proto/channel/router_channel.h"
 
+#include <sys/stat.h>
+
 #include <cerrno>
 #include <utility>
 
+#include "proto/channel/authenticator.h"
+#include "proto/channel/connection_monitor.h"
 #include "proto/channel/socket.h"
 
 namespace trem {
 
 struct RouterChannel::State {
+  explicit State(const ChannelOptions& channel_options) : options(channel_options) {}
+
   ChannelOptions options;
   WakeEvent wake;
   zmq::context_t context;
+  std::unique_ptr<Authenticator> authenticator;  // Outlives the socket, whose peers it judges.
   zmq::socket_t socket{context, zmq::socket_type::router};
+  std::unique_ptr<ConnectionMonitor> monitor;
   std::string endpoint;
-  std::uint64_t garbage_count = 0;
+  ChannelCounters counters;
 };
+
+namespace {
+
+// libzmq makes the file of an ipc socket with the process' umask.
+class PrivateFilesScope {
+ public:
+  PrivateFilesScope() : umask_(::umask(0177)) {}
+  ~PrivateFilesScope() { ::umask(umask_); }
+  PrivateFilesScope(const PrivateFilesScope&) = delete;
+  PrivateFilesScope& operator=(const PrivateFilesScope&) = delete;
+
+ private:
+  mode_t umask_;
+};
+
+}  // namespace
 
 RouterChannel::RouterChannel(std::unique_ptr<State> state) : state_(std::move(state)) {}
 RouterChannel::~RouterChannel() = default;
 
 Result<std::unique_ptr<RouterChannel>> RouterChannel::Bind(const std::string& endpoint, const ChannelOptions& options) {
-  TREM_RETURN_IF_ERROR(CheckEndpoint(endpoint, /*wildcard_port=*/true));
-  auto state = std::make_unique<State>();
-  state->options = options;
+  TREM_RETURN_IF_ERROR(CheckEndpoint(endpoint, /*wildcard_port=*/true, options.own_key.has_value()));
+  if (options.own_key && !options.allow_list) return InvalidInput("a coordinator with a key needs a list of the keys that it lets in");
+  auto state = std::make_unique<State>(options);
   try {
-    ConfigureSocket(&state->socket, options);
-    // A vanished peer is reported instead of silently dropped; a peer that comes back under its name takes over from its dead connection.
+    ConfigureSocket(&state->socket, endpoint, options);
+    // A vanished peer is reported instead of silently dropped. Nobody takes over another's connection: names are libzmq's own, and a peer
+    // that claims one that is in use is ignored.
     state->socket.set(zmq::sockopt::router_mandatory, true);
-    state->socket.set(zmq::sockopt::router_handover, true);
+    if (options.own_key) {
+      state->authenticator = std::make_unique<Authenticator>(&state->context, options.allow_list);
+      state->socket.set(zmq::sockopt::curve_server, true);
+      state->socket.set(zmq::sockopt::zap_domain, "trem");
+    }
+    state->monitor = std::make_unique<ConnectionMonitor>(&state->context, &state->socket, options.connections_max);
+    const PrivateFilesScope private_files;
     state->socket.bind(endpoint);
     state->endpoint = state->socket.get(zmq::sockopt::last_endpoint);
   } catch (const zmq::error_t& error) {
@@ -42,14 +73,28 @@ const std::string& RouterChannel::endpoint() const { return state_->endpoint; }
 
 std::optional<RouterChannel::Incoming> RouterChannel::Poll(std::chrono::milliseconds timeout) {
   constexpr std::size_t kFrameCount = 3;  // Identity, header, body.
+  state_->monitor->Take(&state_->counters);
   RawMessage message;
   if (!WaitFor(&state_->socket, state_->wake, ZMQ_POLLIN, timeout) || !ReceiveNow(&state_->socket, kFrameCount, &message))
     return std::nullopt;
-  Incoming incoming{message.frames.front(), Corrupt("a message that does not consist of two frames")};
+  Incoming incoming{message.frames.front(), Corrupt("a message that does not consist of two frames"), {}, v1::ROLE_UNSPECIFIED, 0};
+  ++state_->counters.messages_received;
+  for (const std::string& frame : message.frames) state_->counters.bytes_received += frame.size();
+  if (state_->options.allow_list) {
+    const auto entry = state_->options.allow_list->Find(message.user);
+    if (!entry) {
+      incoming.envelope = InvalidInput("this key is not in the coordinator's list of allowed keys (any more)");
+      ++state_->counters.keys_refused;
+      return incoming;
+    }
+    incoming.user = entry->name;
+    incoming.role = entry->role;
+  }
   if (message.is_complete && message.frames.size() == kFrameCount) {
+    incoming.bytes = message.frames[2].size();
     incoming.envelope = DecodeEnvelope(message.frames[1], message.frames[2], state_->options.limits);
   }
-  if (!incoming.envelope.ok()) ++state_->garbage_count;
+  if (!incoming.envelope.ok()) ++state_->counters.garbage;
   return incoming;
 }
 
@@ -59,8 +104,11 @@ bool RouterChannel::Send(const std::string& peer, const v1::Envelope& envelope) 
   try {
     // The first frame chooses the peer: when it is taken, the others are.
     if (!state_->socket.send(zmq::buffer(peer), kMore)) return false;
-    return state_->socket.send(zmq::buffer(frames.header), kMore).has_value() &&
-           state_->socket.send(zmq::buffer(frames.body), zmq::send_flags::dontwait).has_value();
+    const bool sent = state_->socket.send(zmq::buffer(frames.header), kMore).has_value() &&
+                      state_->socket.send(zmq::buffer(frames.body), zmq::send_flags::dontwait).has_value();
+    state_->counters.messages_sent += sent ? 1 : 0;
+    state_->counters.bytes_sent += sent ? frames.header.size() + frames.body.size() : 0;
+    return sent;
   } catch (const zmq::error_t&) {
     return false;  // EHOSTUNREACH: the peer is gone.
   }
@@ -68,6 +116,10 @@ bool RouterChannel::Send(const std::string& peer, const v1::Envelope& envelope) 
 
 void RouterChannel::Wake() const { state_->wake.Notify(); }
 
-std::uint64_t RouterChannel::garbage_count() const { return state_->garbage_count; }
+ChannelCounters RouterChannel::counters() const {
+  ChannelCounters counters = state_->counters;
+  if (state_->authenticator) counters.keys_refused += state_->authenticator->refused_count();
+  return counters;
+}
 
 }  // namespace trem

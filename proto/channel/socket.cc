@@ -4,6 +4,7 @@
 #include <sys/un.h>
 
 #include <algorithm>
+#include <cctype>
 #include <cerrno>
 #include <charconv>
 #include <limits>
@@ -33,6 +34,19 @@ bool IsIpv4Loopback(std::string_view host) {
   return is_loopback && parts == 4;
 }
 
+// A name, an IPv4 address, or an IPv6 address in brackets; libzmq finds out whether it exists.
+bool IsHost(std::string_view host, bool wildcard) {
+  constexpr std::size_t kHostBytesMax = 253;
+  if (host.empty() || host.size() > kHostBytesMax) return false;
+  if (wildcard && host == "*") return true;
+  const bool bracketed = host.front() == '[' && host.back() == ']' && host.size() > 2;
+  if (bracketed) host = host.substr(1, host.size() - 2);
+  return std::all_of(host.begin(), host.end(), [bracketed](unsigned char c) {
+    if (bracketed) return std::isxdigit(c) != 0 || c == ':' || c == '.';
+    return c < 0x80 && (std::isalnum(c) != 0 || c == '.' || c == '-');
+  });
+}
+
 Status CheckIpc(const std::string& endpoint, std::string_view path) {
   constexpr std::size_t kPathBytesMax = sizeof(sockaddr_un::sun_path) - 1;
   if (path.empty()) return InvalidInput(fmt::format("endpoint '{}' has no path; expected ipc://PATH", endpoint));
@@ -54,9 +68,15 @@ bool ReceiveFrame(zmq::socket_t* socket, zmq::message_t* frame) {
   }
 }
 
+std::string UserOf(const zmq::message_t& frame) {
+  // Null without metadata; cppzmq's gets() would throw.
+  const char* user = zmq_msg_gets(frame.handle(), "User-Id");
+  return user == nullptr ? std::string() : std::string(user);
+}
+
 }  // namespace
 
-Status CheckEndpoint(const std::string& endpoint, bool wildcard_port) {
+Status CheckEndpoint(const std::string& endpoint, bool wildcard_port, bool has_keys) {
   constexpr std::string_view kIpc = "ipc://";
   constexpr std::string_view kTcp = "tcp://";
   const std::string_view text = endpoint;
@@ -67,11 +87,15 @@ Status CheckEndpoint(const std::string& endpoint, bool wildcard_port) {
   }
   const std::string_view host = text.substr(kTcp.size(), colon - kTcp.size());
   const std::string_view port = text.substr(colon + 1);
-  if (!IsIpv4Loopback(host)) {
+  if (!IsIpv4Loopback(host) && !has_keys) {
     return InvalidInput(
-        fmt::format("endpoint '{}' is neither ipc nor an IPv4 loopback address: connections between machines need CURVE keys, "
-                    "which are not available yet; use ipc://PATH or tcp://127.0.0.1:PORT",
+        fmt::format("endpoint '{}' is neither ipc nor an IPv4 loopback address: connections between machines need keys (`trem keys`, "
+                    "docs/SECURITY.md); name them with --key, or use ipc://PATH or tcp://127.0.0.1:PORT",
                     endpoint));
+  }
+  if (!IsHost(host, wildcard_port)) {
+    return InvalidInput(fmt::format("endpoint '{}' has the host '{}'; expected a name, an address{} or an IPv6 address in brackets", endpoint,
+                                    host, wildcard_port ? ", *" : ""));
   }
   if (wildcard_port && port == "*") return {};
   if (!IsNumber(port, 65535) || port == "0") {
@@ -81,8 +105,23 @@ Status CheckEndpoint(const std::string& endpoint, bool wildcard_port) {
   return {};
 }
 
-void ConfigureSocket(zmq::socket_t* socket, const ChannelOptions& options) {
+void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const ChannelOptions& options) {
+  // What one peer may have waiting here; the sum over peers is bounded by their number.
+  constexpr int kMessagesWaitingMax = 256;
   socket->set(zmq::sockopt::linger, static_cast<int>(options.linger.count()));
+  socket->set(zmq::sockopt::rcvhwm, kMessagesWaitingMax);
+  // A connection that has not shaken hands by then is closed.
+  socket->set(zmq::sockopt::handshake_ivl, static_cast<int>(options.handshake_timeout.count()));
+  // Machines that went away without a word are noticed after about two minutes.
+  socket->set(zmq::sockopt::tcp_keepalive, 1);
+  socket->set(zmq::sockopt::tcp_keepalive_idle, 60);
+  socket->set(zmq::sockopt::tcp_keepalive_intvl, 15);
+  socket->set(zmq::sockopt::tcp_keepalive_cnt, 4);
+  if (endpoint.find('[') != std::string::npos) socket->set(zmq::sockopt::ipv6, true);
+  if (options.own_key) {
+    socket->set(zmq::sockopt::curve_publickey, options.own_key->public_key());
+    socket->set(zmq::sockopt::curve_secretkey, options.own_key->secret_key());
+  }
   // A peer that sends a larger frame is disconnected by libzmq before the frame is allocated.
   socket->set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(options.limits.body_bytes_max));
   socket->set(zmq::sockopt::reconnect_ivl, 50);
@@ -101,6 +140,7 @@ bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::ch
 
 bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* message) {
   message->frames.clear();
+  message->user.clear();
   message->is_complete = true;
   zmq::message_t frame;
   do {  // The frames of one message arrive together: only the first can be missing.
@@ -110,6 +150,7 @@ bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* messa
     } else {
       message->is_complete = false;
     }
+    if (!frame.more()) message->user = UserOf(frame);
   } while (frame.more());
   return true;
 }

@@ -13,11 +13,12 @@ namespace trem {
 
 // What the two channels have in common; adapts libzmq's exceptions.
 
-// Ok for ipc://PATH and tcp://127.x.y.z:PORT (or :* where `wildcard_port`); otherwise kInvalidInput, with the reason.
-Status CheckEndpoint(const std::string& endpoint, bool wildcard_port);
+// Ok for ipc://PATH and tcp://127.x.y.z:PORT (or :* where `wildcard_port`), and with keys for tcp://HOST:PORT with any address, name or
+// [IPv6 address], where * is all of this machine's if `wildcard_port`; otherwise kInvalidInput, with the reason.
+Status CheckEndpoint(const std::string& endpoint, bool wildcard_port, bool has_keys);
 
 // Sets the options that every socket of ours has; throws zmq::error_t.
-void ConfigureSocket(zmq::socket_t* socket, const ChannelOptions& options);
+void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const ChannelOptions& options);
 
 // Waits until the socket is ready for `events` (ZMQ_POLLIN or ZMQ_POLLOUT); false after `timeout`, a wake (which it clears) or a signal.
 bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::chrono::milliseconds timeout);
@@ -26,6 +27,7 @@ bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::ch
 struct RawMessage {
   std::vector<std::string> frames;
   bool is_complete = true;
+  std::string user;  // What the authenticator called the sender; empty without keys.
 };
 // False when no message is there.
 bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* message);

@@ -36,6 +36,15 @@ class RangeChecker {
       Refuse(field, "not valid UTF-8", "UTF-8 text");
     }
   }
+  void Path(const char* field, const std::string& value) {
+    constexpr std::size_t kPathBytesMax = 4096;
+    Text(field, value, kPathBytesMax);
+    // Specs are stored, shown and logged.
+    const std::size_t scheme = value.find("://");
+    if (scheme != std::string::npos && value.substr(scheme + 3, value.find('/', scheme + 3) - scheme - 3).find('@') != std::string::npos) {
+      Refuse(field, "an address with a user name or password in it", "one without: credentials belong into the workers' environment");
+    }
+  }
   void Enum(const char* field, int value, bool is_known) {
     if (!is_known) Refuse(field, fmt::format("{}", value), "a value that job.proto names");
   }
@@ -60,14 +69,14 @@ std::string NameOfSource(const std::string& source_path) {
 }
 
 void CompleteSource(v1::Source* source, RangeChecker* check) {
-  check->Text("source.path", source->path(), 4096);
+  check->Path("source.path", source->path());
   source->set_frame_rate_hz(OrDefault(source->frame_rate_hz(), 25.0));
   check->Number("source.frame_rate_hz", source->frame_rate_hz(), 1e-3, 1e5);
   check->Enum("source.deinterlace", source->deinterlace(), v1::Deinterlace_IsValid(source->deinterlace()));
 }
 
 void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
-  check->Text("telemetry.path", telemetry->path(), 4096);
+  check->Path("telemetry.path", telemetry->path());
   telemetry->set_position_sigma_m(OrDefault(telemetry->position_sigma_m(), 1.0));
   check->Number("telemetry.position_sigma_m", telemetry->position_sigma_m(), 1e-3, 1e5);
   telemetry->set_attitude_sigma_deg(OrDefault(telemetry->attitude_sigma_deg(), 0.1));
@@ -82,7 +91,7 @@ void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
   if (sensor->psf_model() == v1::PSF_AUTO) {
     sensor->set_psf_model(!sensor->psf_kernel_path().empty() ? v1::KERNEL_FILE : sensor->f_number() != 0.0 ? v1::OPTICS : v1::GAUSSIAN);
   }
-  check->Text("sensor.psf_kernel_path", sensor->psf_kernel_path(), 4096);
+  check->Path("sensor.psf_kernel_path", sensor->psf_kernel_path());
   if (sensor->psf_model() == v1::KERNEL_FILE) {
     if (sensor->psf_kernel_path().empty()) check->Refuse("sensor.psf_kernel_path", "missing", "a file with the kernel, because psf_model is KERNEL_FILE");
     if (sensor->psf_sigma_px() != 0.0) {
@@ -113,8 +122,8 @@ void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
   check->Number("sensor.fill_factor", sensor->fill_factor(), 0.05, 1.0);
   check->Number("sensor.noise_sigma", sensor->noise_sigma(), 0.0, 65535.0);
   check->Number("sensor.shot_noise", sensor->shot_noise(), 0.0, 65535.0);
-  check->Text("sensor.bad_pixel_path", sensor->bad_pixel_path(), 4096);
-  check->Text("sensor.mask_path", sensor->mask_path(), 4096);
+  check->Path("sensor.bad_pixel_path", sensor->bad_pixel_path());
+  check->Path("sensor.mask_path", sensor->mask_path());
   if (sensor->has_saturation_level()) check->Number("sensor.saturation_level", sensor->saturation_level(), -1e30, 1e30);
   check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
 }

@@ -81,6 +81,13 @@ TEST_F(RemoteTest, CancelsAJob) {
   EXPECT_THAT(watch.stderr_text, HasSubstr("cancelled"));
 }
 
+TEST_F(RemoteTest, ListsNothingWhenThereIsNothing) {
+  const Completed list = Trem({"list", "--json"});
+  EXPECT_EQ(list.exit_code, 0) << list.stderr_text;
+  EXPECT_EQ(list.stdout_text, "[]\n");
+  EXPECT_EQ(Trem({"workers"}).exit_code, 0);
+}
+
 TEST_F(RemoteTest, SaysThatAJobIsNotKnown) {
   for (const char* command : {"status", "watch", "cancel"}) {
     const Completed unknown = Trem({command, "no-such-job"});

@@ -14,11 +14,13 @@
 #include <iostream>
 #include <random>
 #include <string>
+#include <vector>
 
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/log.h"
 #include "worker/app/usage.h"
 #include "worker/app/worker_loop.h"
+#include "worker/sortie/source_guard.h"
 #include "worker/tasks/task.h"
 
 namespace trem {
@@ -27,6 +29,9 @@ namespace {
 struct ServeOptions {
   std::string coordinator;
   std::string store;
+  std::vector<std::string> source_roots;
+  std::string key_path;
+  std::string coordinator_key_path;
   std::uint64_t memory_bytes_max = 0;
   std::uint32_t give_up_s = 0;
   bool die_with_parent = false;
@@ -76,11 +81,12 @@ Status Serve(const ServeOptions& serve) {
   options.worker_id = NewWorkerId(options.host);
   options.memory_bytes_max = serve.memory_bytes_max;
   options.give_up = std::chrono::seconds(serve.give_up_s);
-  ChannelOptions channel_options;
-  channel_options.identity = options.worker_id;
+  TREM_ASSIGN_OR_RETURN(const ChannelOptions channel_options, ChannelOptionsOf(serve.key_path, serve.coordinator_key_path));
   TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
   signalled_channel = channel.get();
-  const auto task = [&store](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) {
+  TREM_ASSIGN_OR_RETURN(const SourceGuard guard, SourceGuard::Make(serve.source_roots, /*closed=*/!serve.key_path.empty()));
+  const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> Result<v1::TaskResult> {
+    TREM_RETURN_IF_ERROR(guard.Check(spec.sortie()));
     return RunTask(spec, TaskContext{&store, progress});
   };
   const Status status = RunWorkerLoop(options, channel.get(), task, stop_requested);
@@ -97,7 +103,12 @@ int RunServeCommand(int argc, char** argv) {
       "Example:\n  trem-worker serve --coordinator ipc:///run/trem/socket --store /srv/trem/store\n\n"
       "Exit codes: 0 stopped by a signal; 2 usage; 3 refused by the coordinator or invalid option; 4 coordinator not reachable;\n"
       "9 a cancelled task did not stop; 1 other failures.");
-  app.add_option("--coordinator", options.coordinator, "Endpoint of the coordinator: ipc://PATH or tcp://127.0.0.1:PORT")->required();
+  app.add_option("--coordinator", options.coordinator, "Endpoint of the coordinator: ipc://PATH or tcp://HOST:PORT")->required();
+  app.add_option("--source-root", options.source_roots,
+                 "Read sorties below this folder only; may be repeated. Default: everything without --key, nothing with it")
+      ->allow_extra_args(false);
+  app.add_option("--key", options.key_path, "Secret key file of this worker (`trem keys`); needed beyond this machine")->envname("TREM_KEY");
+  app.add_option("--coordinator-key", options.coordinator_key_path, "The coordinator's .pub file")->envname("TREM_COORDINATOR_KEY");
   app.add_option("--store", options.store, "Folder of the artefact store, the same as the coordinator's")->required();
   app.add_option("--memory-max-bytes", options.memory_bytes_max, "Take no task that needs more memory (0: no limit)")
       ->capture_default_str();

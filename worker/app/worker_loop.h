@@ -13,7 +13,7 @@
 namespace trem {
 
 struct WorkerOptions {
-  std::string worker_id;  // Unique per process start; the channel's identity too.
+  std::string worker_id;  // Unique per process start.
   std::string host;       // For lists and logs.
   std::uint32_t pid = 0;
   std::string engine_revision = kEngineRevision;

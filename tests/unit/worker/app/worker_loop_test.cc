@@ -86,9 +86,7 @@ class Harness {
   }
 
   void StartWorker(ComputeThread::Task task) {
-    ChannelOptions channel_options;
-    channel_options.identity = options_.worker_id;
-    auto channel = DealerChannel::Connect(endpoint_, channel_options);
+    auto channel = DealerChannel::Connect(endpoint_);
     TREM_CHECK_MSG(channel.ok(), channel.status().message());
     channel_ = std::move(channel).value();
     loop_ = std::thread([this, task = std::move(task)] { status_ = RunWorkerLoop(options_, channel_.get(), task, stop_); });

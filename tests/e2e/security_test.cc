@@ -1,0 +1,181 @@
+// Goal: a coordinator with keys serves those who have them, refuses all others in words or silence, and is not hurt by crowds. Method: real
+// programs over TCP; the crowd is 10,000 plain connections.
+#include <arpa/inet.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <sstream>
+#include <thread>
+
+#include "tests/e2e/run_fixture.h"
+
+namespace trem::testing {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+class SecureServiceTest : public ::testing::Test {
+ protected:
+  SecureServiceTest() {
+    fs::create_directories(fixture_.folder() / "allowed");
+    MakeKey("hill", "coordinator");
+    for (const char* role : {"worker", "client", "admin"}) {
+      MakeKey(role, role);
+      fs::copy_file(Key(role, ".pub"), fixture_.folder() / "allowed" / (std::string(role) + ".pub"));
+    }
+    MakeKey("stranger", "client");
+  }
+  void Start(const std::vector<std::string>& more = {}) {
+    std::vector<std::string> argv = {BinaryPath("trem-coordinator").string(), "--state", (fixture_.folder() / "state").string(), "--store",
+                                     store_.string(), "--bind", "tcp://127.0.0.1:*", "--ready-file", ready_.string(), "--key",
+                                     Key("hill", ".key"), "--allow", (fixture_.folder() / "allowed").string()};
+    argv.insert(argv.end(), more.begin(), more.end());
+    coordinator_ = std::make_unique<Subprocess>(argv, fixture_.Options());
+    for (int i = 0; i < 2000 && !fs::exists(ready_); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    ASSERT_TRUE(fs::exists(ready_)) << coordinator_->Stderr();
+    endpoint_ = Lines(FileContents(ready_)).at(0);
+  }
+  std::string Key(const std::string& name, const std::string& extension) const {
+    return (fixture_.folder() / "keys" / (name + extension)).string();
+  }
+  void MakeKey(const std::string& name, const std::string& role) const {
+    const Completed made =
+        fixture_.Run({BinaryPath("trem").string(), "keys", name, "--role", role, "-o", (fixture_.folder() / "keys").string()});
+    ASSERT_EQ(made.exit_code, 0) << made.stderr_text;
+  }
+  Completed Trem(const std::string& key, std::vector<std::string> arguments) const {
+    arguments.insert(arguments.begin(), BinaryPath("trem").string());
+    SubprocessOptions options = fixture_.Options();
+    options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
+    if (!key.empty()) {
+      options.environment.push_back("TREM_KEY=" + Key(key, ".key"));
+      options.environment.push_back("TREM_COORDINATOR_KEY=" + Key("hill", ".pub"));
+    }
+    return RunProgram(arguments, std::chrono::minutes(5), options);
+  }
+  std::unique_ptr<Subprocess> Worker(const std::string& key, const std::vector<std::string>& more = {}) const {
+    std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string(),
+                                     "--key", Key(key, ".key"), "--coordinator-key", Key("hill", ".pub")};
+    argv.insert(argv.end(), more.begin(), more.end());
+    return std::make_unique<Subprocess>(argv, fixture_.Options());
+  }
+  // The second lines of the secret halves of all keys.
+  std::vector<std::string> Secrets() const {
+    std::vector<std::string> secrets;
+    for (const char* name : {"hill", "worker", "client", "admin", "stranger"}) {
+      const std::string text = FileContents(Key(name, ".key"));
+      const std::size_t at = text.find("secret_key: \"");
+      EXPECT_NE(at, std::string::npos);
+      secrets.push_back(text.substr(at + 13, 40));
+    }
+    return secrets;
+  }
+
+  RunFixture fixture_;
+  fs::path ready_ = fixture_.folder() / "ready";
+  fs::path store_ = fixture_.folder() / "store";
+  std::unique_ptr<Subprocess> coordinator_;
+  std::string endpoint_;
+};
+
+TEST_F(SecureServiceTest, MapsASortieWithKeysAndKeepsSecretsToItself) {
+  Start();
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  const auto worker = Worker("worker", {"--source-root", sortie.string()});
+  ASSERT_EQ(Trem("client", {"submit", (sortie / "sortie.textproto").string(), "--job-id", "town"}).exit_code, 0);
+  const Completed watch = Trem("client", {"watch", "town"});
+  EXPECT_EQ(watch.exit_code, 0) << watch.stderr_text;
+  const fs::path out = fixture_.NewFolder("out");
+  EXPECT_EQ(Trem("client", {"fetch", "town", "-o", (out / "town.tif").string()}).exit_code, 0);
+
+  worker->Signal(SIGTERM);
+  ASSERT_TRUE(worker->Wait(std::chrono::seconds(30)).has_value());
+  coordinator_->Signal(SIGTERM);
+  ASSERT_TRUE(coordinator_->Wait(std::chrono::seconds(30)).has_value());
+  std::string everything = worker->Stderr() + worker->Stdout() + coordinator_->Stderr() + coordinator_->Stdout() + watch.stderr_text;
+  for (const auto& entry : fs::recursive_directory_iterator(fixture_.folder() / "state")) {
+    if (entry.is_regular_file()) everything += FileContents(entry.path());
+  }
+  for (const std::string& secret : Secrets()) EXPECT_EQ(everything.find(secret), std::string::npos);
+}
+
+TEST_F(SecureServiceTest, RefusesWrongKeysAndRoles) {
+  Start();
+  for (const char* key : {"", "stranger"}) {
+    const Completed list = Trem(key, {"list"});
+    EXPECT_EQ(list.exit_code, 4) << key << list.stderr_text;
+  }
+  const Completed as_worker = Trem("worker", {"list"});
+  EXPECT_EQ(as_worker.exit_code, 3);
+  EXPECT_THAT(as_worker.stderr_text, HasSubstr("has the role worker and may not send list_jobs"));
+  const auto impostor = Worker("client");
+  const auto exit = impostor->Wait(std::chrono::seconds(30));
+  ASSERT_TRUE(exit.has_value());
+  EXPECT_EQ(exit->code, 3);
+  EXPECT_THAT(impostor->Stderr(), HasSubstr("may not send hello"));
+  EXPECT_EQ(Trem("client", {"list"}).exit_code, 0);
+}
+
+TEST_F(SecureServiceTest, AWorkerWithAKeyReadsNothingOutsideItsFolders) {
+  Start();
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 4);
+  const auto worker = Worker("worker", {"--source-root", fixture_.NewFolder("elsewhere").string()});
+  ASSERT_EQ(Trem("client", {"submit", (sortie / "sortie.textproto").string(), "--job-id", "town"}).exit_code, 0);
+  const Completed watch = Trem("client", {"watch", "town"});
+  EXPECT_EQ(watch.exit_code, 1);
+  EXPECT_THAT(watch.stderr_text, HasSubstr("does not lie below a folder that this worker may read"));
+}
+
+TEST_F(SecureServiceTest, ServesThroughACrowdOfTenThousandConnections) {
+  constexpr int kCrowd = 10'000;
+  Start({"--connections-max", "500"});
+  rlimit limit{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &limit), 0);
+  limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, kCrowd + 1000);
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &limit), 0);
+  // As many at a time as this process may have; closed ones are made anew.
+  const auto at_once = std::min<std::size_t>(limit.rlim_cur - 500, kCrowd);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(std::stoi(endpoint_.substr(endpoint_.rfind(':') + 1))));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  std::vector<int> crowd;
+  int made = 0;
+  for (int i = 0; i < kCrowd; ++i) {
+    if (crowd.size() >= at_once) {
+      ::close(crowd.front());
+      crowd.erase(crowd.begin());
+    }
+    const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+    ASSERT_GE(fd, 0);
+    made += ::connect(fd, reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0 || errno == EINPROGRESS ? 1 : 0;
+    crowd.push_back(fd);
+  }
+  EXPECT_EQ(made, kCrowd);
+  // Those who hold the doors and never shake hands are out after five seconds.
+  Completed list;
+  for (int i = 0; i < 10; ++i) {
+    list = Trem("client", {"list"});
+    if (list.exit_code == 0) break;
+  }
+  EXPECT_EQ(list.exit_code, 0) << list.stderr_text;
+  for (const int fd : crowd) ::close(fd);
+  std::istringstream status(FileContents("/proc/" + std::to_string(coordinator_->pid()) + "/status"));
+  for (std::string line; std::getline(status, line);) {
+    if (line.starts_with("VmHWM:")) {
+      EXPECT_LT(std::stol(line.substr(6)), 512 * 1024) << "kB";
+    }
+  }
+  EXPECT_FALSE(coordinator_->Wait(std::chrono::milliseconds(0)).has_value()) << coordinator_->Stderr();
+}
+
+}  // namespace
+}  // namespace trem::testing
