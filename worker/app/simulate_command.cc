@@ -49,6 +49,7 @@ void AddSensorOptions(CLI::App* app, SimulationOptions* o) {
   app->add_option("--offset", o->offset, "Grey levels")->group(group);
   app->add_option("--gain-drift", o->gain_drift, "Smooth drift, standard deviation, relative")->group(group);
   app->add_option("--offset-drift", o->offset_drift, "Smooth drift, standard deviation, grey levels")->group(group);
+  app->add_option("--exposure-step", o->exposure_step, "The gain steps down and up again by this part, five times")->group(group);
   app->add_option("--noise-sigma", o->noise_sigma, "White noise, grey levels")->group(group);
   app->add_option("--shot-noise", o->shot_noise, "Photon noise: variance per grey level")->group(group);
   app->add_option("--fixed-pattern-sigma", o->fixed_pattern_sigma, "Constant offset of each pixel, grey levels")->group(group);
@@ -86,7 +87,8 @@ void AddFlightOptions(CLI::App* app, SimulationOptions* o) {
 void AddPlaceAndErrorOptions(CLI::App* app, SimulationOptions* o) {
   app->add_option("--origin-lat", o->origin_lat_deg, "Latitude of the truth's centre")->group("Place");
   app->add_option("--origin-lon", o->origin_lon_deg, "Longitude of the truth's centre")->group("Place");
-  app->add_option("--ground-elevation-m", o->ground_elevation_m, "Elevation of the flat ground")->group("Place");
+  app->add_option("--ground-elevation-m", o->ground_elevation_m, "Elevation of the flat ground, or the middle of the hills")->group("Place");
+  app->add_option("--relief-m", o->relief_m, "Hills, peak to peak; the elevation model is written to truth/dem.tif")->group("Place");
   app->add_option("--terrain-width", o->terrain_width_cells, "Width of a procedural terrain, truth pixels")->group("Place");
   app->add_option("--terrain-height", o->terrain_height_cells, "Height of a procedural terrain, truth pixels")->group("Place");
   app->add_option("--movers", o->mover_count, "Bright and dark things moving over the ground")->group("Place");
@@ -94,6 +96,11 @@ void AddPlaceAndErrorOptions(CLI::App* app, SimulationOptions* o) {
   app->add_option("--gps-noise-m", o->gps_noise_m, "White, each axis, standard deviation")->group("Telemetry errors");
   app->add_option("--attitude-noise-deg", o->attitude_noise_deg, "White, about each camera axis, standard deviation")
       ->group("Telemetry errors");
+  app->add_option("--attitude-bias-deg", o->attitude_bias_deg, "Constant, about each camera axis, standard deviation")
+      ->group("Telemetry errors");
+  app->add_option("--control-points", o->control_count, "Ground control points, written to gcp.csv")->group("Ground control");
+  app->add_option("--control-noise-px", o->control_noise_px, "Error of a control point's pixel, each axis, standard deviation")
+      ->group("Ground control");
 }
 
 // Declares the whole command line; values land in `a`.

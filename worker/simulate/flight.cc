@@ -17,6 +17,8 @@ namespace {
 constexpr double kRadPerDeg = std::numbers::pi / 180.0;
 // Beyond the image's edge the truth must still reach for the point spread function and the spline: pixels.
 constexpr double kMarginPx = 5.0;
+// Runs of frames of one exposure, where it steps.
+constexpr int kExposureRuns = 6;
 
 enum Purpose : std::uint64_t {
   kAttitudeWander = 1,
@@ -27,7 +29,8 @@ enum Purpose : std::uint64_t {
   kBias,
   kGpsNoise,
   kAttitudeNoise,
-  kDrop
+  kDrop,
+  kAttitudeBias
 };
 
 // A slow bounded wander: the mean of three sine waves of random phase with periods of 40 to 200 frames. |value| <= 1, rms 0.41.
@@ -109,9 +112,14 @@ bool FootprintBox(const SimulationOptions& options, const Wobble& wobble, const 
         const Eigen::Vector3d direction = camera.map_from_camera * ray;
         // Nearer to the horizon than 3 degrees nothing useful is seen.
         if (direction.z() / direction.norm() > -0.05 || camera.height_m <= 0.0) return false;
-        const Eigen::Vector2d ground = GroundFromPixel(camera, focal_px, options.width_px, options.height_px, {x, y});
-        *low = low->cwiseMin(ground);
-        *high = high->cwiseMax(ground);
+        for (const double z : {-0.5 * options.relief_m, 0.5 * options.relief_m}) {
+          CameraState above = camera;
+          above.height_m -= z;
+          above.relief = nullptr;
+          const Eigen::Vector2d ground = GroundFromPixel(above, focal_px, options.width_px, options.height_px, {x, y});
+          *low = low->cwiseMin(ground);
+          *high = high->cwiseMax(ground);
+        }
       }
     }
   }
@@ -136,8 +144,10 @@ Result<TelemetryRow> ReportedRow(const SimulationOptions& options, const Flight&
   const Eigen::Vector3d noise = NormalVector(options.seed, kGpsNoise, exposure.index, options.gps_noise_m);
   reported.position_m += flight.gps_bias_m + noise.head<2>();
   reported.height_m += noise.z();
-  reported.map_from_camera = exposure.camera.map_from_camera * SmallRotation(NormalVector(options.seed, kAttitudeNoise, exposure.index,
-                                                                                          options.attitude_noise_deg * kRadPerDeg));
+  reported.map_from_camera = exposure.camera.map_from_camera *
+                             SmallRotation(NormalVector(options.seed, kAttitudeBias, 0, options.attitude_bias_deg * kRadPerDeg)) *
+                             SmallRotation(NormalVector(options.seed, kAttitudeNoise, exposure.index,
+                                                        options.attitude_noise_deg * kRadPerDeg));
   return RowFromCamera(reported, options.ground_elevation_m, frame);
 }
 
@@ -167,16 +177,33 @@ Attitude AttitudeFromRotation(const Eigen::Matrix3d& rotation) {
   return attitude;
 }
 
+Eigen::Vector2d MeetGround(const CameraState& camera, const Eigen::Vector3d& direction) {
+  TREM_CHECK(direction.z() < 0.0);
+  const Eigen::Vector2d per_metre = camera.map_scale / -direction.z() * direction.head<2>();
+  Eigen::Vector2d ground = camera.position_m + camera.height_m * per_metre;
+  if (camera.relief == nullptr) return ground;
+  // Hills are so gentle that a ray meets them once: the iteration shrinks by slope times tangent of the view's angle.
+  constexpr int kIterationsMax = 60;
+  constexpr double kTolerance_m = 1e-6;
+  double z = 0.0;
+  for (int i = 0; i < kIterationsMax; ++i) {
+    const double next = camera.relief->ElevationAt(ground).value_or(z);
+    ground = camera.position_m + (camera.height_m - next) * per_metre;
+    if (std::abs(next - z) < kTolerance_m) break;
+    z = next;
+  }
+  return ground;
+}
+
 Eigen::Vector2d GroundFromPixel(const CameraState& camera, double focal_px, int width_px, int height_px, const Eigen::Vector2d& u) {
   const Eigen::Vector3d ray((u.x() - 0.5 * (width_px - 1)) / focal_px, (u.y() - 0.5 * (height_px - 1)) / focal_px, 1.0);
-  const Eigen::Vector3d direction = camera.map_from_camera * ray;
-  TREM_CHECK(direction.z() < 0.0);
-  return camera.position_m + (camera.map_scale * camera.height_m / -direction.z()) * direction.head<2>();
+  return MeetGround(camera, camera.map_from_camera * ray);
 }
 
 Eigen::Vector2d PixelFromGround(const CameraState& camera, double focal_px, int width_px, int height_px, const Eigen::Vector2d& ground) {
   const Eigen::Vector2d offset_m = (ground - camera.position_m) / camera.map_scale;
-  const Eigen::Vector3d in_camera = camera.map_from_camera.transpose() * Eigen::Vector3d(offset_m.x(), offset_m.y(), -camera.height_m);
+  const double z = camera.relief == nullptr ? 0.0 : camera.relief->ElevationAt(ground).value_or(0.0);
+  const Eigen::Vector3d in_camera = camera.map_from_camera.transpose() * Eigen::Vector3d(offset_m.x(), offset_m.y(), z - camera.height_m);
   TREM_CHECK(in_camera.z() > 0.0);
   return {0.5 * (width_px - 1) + focal_px * in_camera.x() / in_camera.z(),
           0.5 * (height_px - 1) + focal_px * in_camera.y() / in_camera.z()};
@@ -195,6 +222,7 @@ Result<Flight> PlanFlight(const SimulationOptions& options, const Truth& truth) 
   CameraState nominal;
   nominal.map_from_camera = RotationFromAttitude({yaw_grid_rad, options.pitch_deg * kRadPerDeg, 0.0});
   nominal.map_scale = map_scale;
+  nominal.relief = truth.relief.get();
   nominal.height_m = -range_m * nominal.map_from_camera(2, 2);
   nominal.position_m = -map_scale * range_m * nominal.map_from_camera.col(2).head<2>();  // Aiming at (0, 0).
 
@@ -230,7 +258,9 @@ Result<Flight> PlanFlight(const SimulationOptions& options, const Truth& truth) 
     exposure.camera.map_from_camera = wobble.rotation[index];
     exposure.camera.position_m += path.aim_m[index] + map_scale * wobble.position_m[index].head<2>();
     exposure.camera.height_m += wobble.position_m[index].z();
-    exposure.gain = options.gain * (1.0 + options.gain_drift / Wander::kRms * gain_wander.At(i));
+    const bool stepped = (kExposureRuns * i / options.frame_count) % 2 == 1;
+    exposure.gain =
+        options.gain * (1.0 + options.gain_drift / Wander::kRms * gain_wander.At(i)) * (stepped ? 1.0 - options.exposure_step : 1.0);
     exposure.offset = options.offset + options.offset_drift / Wander::kRms * offset_wander.At(i);
     TREM_ASSIGN_OR_RETURN(exposure.true_row, RowFromCamera(exposure.camera, options.ground_elevation_m, frame));
     TREM_ASSIGN_OR_RETURN(exposure.reported_row, ReportedRow(options, flight, exposure, frame));

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "mosaic/base/status.h"
+#include "mosaic/geometry/ground_surface.h"
 #include "worker/simulate/options.h"
 #include "worker/simulate/truth.h"
 
@@ -18,7 +19,12 @@ struct CameraState {
   double map_scale = 1.0;
   // Columns: the image's right, the image's bottom, the optical axis; rows: grid east, grid north, up.
   Eigen::Matrix3d map_from_camera = Eigen::Matrix3d::Identity();
+  // Height of the ground above the plane [metres] over the map; lent by Truth::relief. Null: flat.
+  const GroundSurface* relief = nullptr;
 };
+
+// Map point where the ray along `direction` (rows east, north, up) of a camera meets the ground. Precondition: it descends.
+Eigen::Vector2d MeetGround(const CameraState& camera, const Eigen::Vector3d& direction);
 
 // Angles as telemetry.csv gives them, but in radians.
 struct Attitude {

@@ -18,6 +18,8 @@ struct SimulationOptions {
   double origin_lat_deg = 51.0;
   double origin_lon_deg = -1.5;
   double ground_elevation_m = 50.0;
+  // Hills, peak to peak, about that elevation. Written to truth/dem.tif.
+  double relief_m = 0.0;
 
   // Sensor.
   int width_px = 256;
@@ -34,6 +36,7 @@ struct SimulationOptions {
   double offset = 20.0;
   double gain_drift = 0.03;   // Standard deviation of the smooth drift, relative.
   double offset_drift = 2.0;  // Grey levels.
+  double exposure_step = 0.0;  // Relative step of the gain, up and down in turn, five times in a sortie.
   double noise_sigma = 2.0;
   double shot_noise = 0.0;       // Variance per grey level, on top of noise_sigma^2.
   double fixed_pattern_sigma = 0.0;
@@ -57,6 +60,10 @@ struct SimulationOptions {
   double gps_bias_m = 1.0;           // Length of the constant horizontal error; its direction is random.
   double gps_noise_m = 0.1;          // White, each axis.
   double attitude_noise_deg = 0.05;  // White, about each camera axis.
+  double attitude_bias_deg = 0.0;    // Constant, about each camera axis, random: standard deviation.
+  // Ground control points, written to gcp.csv: each in three frames, its pixel off by white noise of control_noise_px.
+  int control_count = 0;
+  double control_noise_px = 0.2;
 
   std::uint64_t seed = 1;
   int thread_count = 0;  // 0: all cores. No influence on the bytes.

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "mosaic/base/file.h"
+#include "worker/simulate/relief.h"
 #include "worker/simulate/simulation.h"
 
 namespace trem {
@@ -83,6 +84,7 @@ Json SimulationJson(const SimulationOptions& o, const Truth& truth, const Flight
               {"origin_lat_deg", o.origin_lat_deg},
               {"origin_lon_deg", o.origin_lon_deg},
               {"ground_elevation_m", o.ground_elevation_m},
+              {"relief_m", o.relief_m},
               {"width_px", o.width_px},
               {"height_px", o.height_px},
               {"sensor_gsd_m", o.gsd_m},
@@ -95,6 +97,7 @@ Json SimulationJson(const SimulationOptions& o, const Truth& truth, const Flight
               {"offset", o.offset},
               {"gain_drift", o.gain_drift},
               {"offset_drift", o.offset_drift},
+              {"exposure_step", o.exposure_step},
               {"noise_sigma", o.noise_sigma},
               {"shot_noise", o.shot_noise},
               {"fixed_pattern_sigma", o.fixed_pattern_sigma},
@@ -116,6 +119,9 @@ Json SimulationJson(const SimulationOptions& o, const Truth& truth, const Flight
               {"gps_bias_n_m", flight.gps_bias_m.y()},
               {"gps_noise_m", o.gps_noise_m},
               {"attitude_noise_deg", o.attitude_noise_deg},
+              {"attitude_bias_deg", o.attitude_bias_deg},
+              {"control_points", o.control_count},
+              {"control_noise_px", o.control_noise_px},
               {"seed", o.seed}};
 }
 
@@ -174,6 +180,8 @@ Result<SimulationRecord> ReadSimulation(const fs::path& directory) {
     record.options.cells_per_pixel = json.at("truth_cells_per_pixel");
     record.options.bit_depth = json.at("bit_depth");
     record.options.gps_bias_m = json.at("gps_bias_m");
+    record.options.ground_elevation_m = json.at("ground_elevation_m");
+    record.options.relief_m = json.value("relief_m", 0.0);
     record.flight.focal_px = json.at("focal_px");
     record.flight.gps_bias_m = {json.at("gps_bias_e_m").get<double>(), json.at("gps_bias_n_m").get<double>()};
   } catch (const nlohmann::json::exception& error) {
@@ -194,6 +202,10 @@ Result<SimulationRecord> ReadSimulation(const fs::path& directory) {
   }
   if (record.flight.exposures.empty()) return InvalidInput("'" + csv_path.string() + "' lists no frame");
   TREM_ASSIGN_OR_RETURN(record.truth, ReadTruth(directory / "truth" / "truth.tif"));
+  if (record.options.relief_m > 0.0) {
+    TREM_ASSIGN_OR_RETURN(record.truth.relief, ReadRelief(directory / "truth" / "dem.tif", record.options.ground_elevation_m));
+    for (Exposure& exposure : record.flight.exposures) exposure.camera.relief = record.truth.relief.get();
+  }
   return record;
 }
 

@@ -81,14 +81,13 @@ Eigen::Vector2d Renderer::PixelFromFine(int x, int y) const {
 Image<float> Renderer::Supersampled(const Exposure& exposure) const {
   Image<float> fine((options_.width_px - 1) * kSubsamples + 2 * reach_ + 1, (options_.height_px - 1) * kSubsamples + 2 * reach_ + 1);
   const CameraState& camera = exposure.camera;
-  const double ground_scale = camera.map_scale * camera.height_m;
   for (int y = 0; y < fine.height(); ++y) {
     for (int x = 0; x < fine.width(); ++x) {
       const Eigen::Vector2d u = PixelFromFine(x, y);
       const Eigen::Vector3d ray((u.x() - 0.5 * (options_.width_px - 1)) / focal_px_, (u.y() - 0.5 * (options_.height_px - 1)) / focal_px_,
                                 1.0);
       const Eigen::Vector3d direction = camera.map_from_camera * ray;
-      const Eigen::Vector2d ground = camera.position_m + (ground_scale / -direction.z()) * direction.head<2>();
+      const Eigen::Vector2d ground = MeetGround(camera, direction);
       const Eigen::Vector2d cell = truth_.CellFromMap(ground);
       fine.at(x, y) = static_cast<float>(surface_.At(cell.x(), cell.y()));
     }

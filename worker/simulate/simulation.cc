@@ -18,8 +18,10 @@
 
 #include "mosaic/base/file.h"
 #include "mosaic/raster/crs.h"
+#include "worker/simulate/control_points.h"
 #include "worker/simulate/flight.h"
 #include "worker/simulate/records.h"
+#include "worker/simulate/relief.h"
 #include "worker/simulate/renderer.h"
 #include "worker/simulate/truth.h"
 
@@ -94,6 +96,7 @@ Result<Truth> PlaceTruth(const SimulationOptions& options) {
   truth.grid.gsd = options.gsd_m / options.cells_per_pixel;
   truth.grid.origin_x = centre.x() - 0.5 * truth.grid.gsd * (truth.grey.width() - 1);
   truth.grid.origin_y = centre.y() + 0.5 * truth.grid.gsd * (truth.grey.height() - 1);
+  truth.relief = MakeRelief(options, truth.grid);
   return truth;
 }
 
@@ -164,6 +167,7 @@ Status CheckSimulationOptions(const SimulationOptions& o) {
   TREM_RETURN_IF_ERROR(CheckRange("--origin-lat", o.origin_lat_deg, -80, 84));
   TREM_RETURN_IF_ERROR(CheckRange("--origin-lon", o.origin_lon_deg, -180, 180));
   TREM_RETURN_IF_ERROR(CheckRange("--ground-elevation-m", o.ground_elevation_m, -500, 9000));
+  TREM_RETURN_IF_ERROR(CheckRange("--relief-m", o.relief_m, 0, 5000));
   TREM_RETURN_IF_ERROR(CheckRange("--width", o.width_px, 16, 8192));
   TREM_RETURN_IF_ERROR(CheckRange("--height", o.height_px, 16, 8192));
   TREM_RETURN_IF_ERROR(CheckRange("--gsd", o.gsd_m, 0.001, 100));
@@ -176,6 +180,7 @@ Status CheckSimulationOptions(const SimulationOptions& o) {
   TREM_RETURN_IF_ERROR(CheckRange("--offset", o.offset, -255, 255));
   TREM_RETURN_IF_ERROR(CheckRange("--gain-drift", o.gain_drift, 0, 0.3));
   TREM_RETURN_IF_ERROR(CheckRange("--offset-drift", o.offset_drift, 0, 100));
+  TREM_RETURN_IF_ERROR(CheckRange("--exposure-step", o.exposure_step, 0, 0.9));
   TREM_RETURN_IF_ERROR(CheckRange("--noise-sigma", o.noise_sigma, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--shot-noise", o.shot_noise, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--fixed-pattern-sigma", o.fixed_pattern_sigma, 0, 100));
@@ -194,6 +199,9 @@ Status CheckSimulationOptions(const SimulationOptions& o) {
   TREM_RETURN_IF_ERROR(CheckRange("--gps-bias-m", o.gps_bias_m, 0, 10000));
   TREM_RETURN_IF_ERROR(CheckRange("--gps-noise-m", o.gps_noise_m, 0, 1000));
   TREM_RETURN_IF_ERROR(CheckRange("--attitude-noise-deg", o.attitude_noise_deg, 0, 10));
+  TREM_RETURN_IF_ERROR(CheckRange("--attitude-bias-deg", o.attitude_bias_deg, 0, 10));
+  TREM_RETURN_IF_ERROR(CheckRange("--control-points", o.control_count, 0, 1000));
+  TREM_RETURN_IF_ERROR(CheckRange("--control-noise-px", o.control_noise_px, 0, 100));
   return CheckRange("--threads", o.thread_count, 0, 1024);
 }
 
@@ -213,6 +221,13 @@ Result<SimulationSummary> Simulate(const SimulationOptions& options, const fs::p
   TREM_RETURN_IF_ERROR(MakeDirectories(work.path() / "frames"));
   TREM_RETURN_IF_ERROR(MakeDirectories(work.path() / "truth"));
   TREM_RETURN_IF_ERROR(WriteTruth(truth, work.path() / "truth" / "truth.tif"));
+  if (truth.relief) {
+    TREM_RETURN_IF_ERROR(WriteRelief(*truth.relief, options.ground_elevation_m, truth.grid.crs_wkt, work.path() / "truth" / "dem.tif"));
+  }
+  if (options.control_count > 0) {
+    TREM_ASSIGN_OR_RETURN(const std::string control, ControlPointsCsv(options, truth, flight));
+    TREM_RETURN_IF_ERROR(WriteFileAtomically(work.path() / "gcp.csv", control));
+  }
   const Renderer renderer(options, truth, flight, MakeMovers(options, flight));
   TREM_RETURN_IF_ERROR(WriteFrames(options, renderer, flight.exposures, work.path() / "frames", progress));
   TREM_RETURN_IF_ERROR(WriteRecords(options, truth, flight, work.path()));

@@ -3,18 +3,22 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "mosaic/base/image.h"
 #include "mosaic/base/status.h"
+#include "mosaic/geometry/ground_surface.h"
 #include "mosaic/geometry/mosaic_grid.h"
 
 namespace trem {
 
-// The ground that a simulated sortie flies over: a grey raster (0..255) on a horizontal plane in a map frame.
+// The ground that a simulated sortie flies over: a grey raster (0..255) on a horizontal plane in a map frame, or on hills about it.
 struct Truth {
   Image<float> grey;
   MosaicGrid grid;  // Of the cells; CRS in metres.
+  // Height above the plane [metres] over the map, known a frame's width beyond the raster, too. Null: flat.
+  std::shared_ptr<const GriddedGround> relief;
 
   double cell_m() const { return grid.gsd; }
   Eigen::Vector2d CellFromMap(const Eigen::Vector2d& x_in_map) const { return grid.PixelFromWorld(x_in_map); }

@@ -1,0 +1,134 @@
+// sortie_bench: do mosaics lie where they should, and do they show what their scenes show?
+//
+// Question: on simulated sorties of every kind that the project promises to map, what are coverage, distortion, sharpness and position error
+// of the mosaic, and do its stated standard errors hold?
+// Baseline: the bicubic interpolation of single frames with their true poses, and the median of the same scenes at their true places.
+// Method: `trem simulate`, `trem run` and `trem_score` as a user would call them; the table is for docs/BENCHMARKS.md.
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "mosaic/base/status.h"
+#include "tests/support/paths.h"
+#include "tests/support/subprocess.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+using Strings = std::vector<std::string>;
+
+struct Sortie {
+  std::string name;
+  std::string what;
+  Strings simulation;
+  Strings run;
+};
+
+struct Arguments {
+  std::string truth;
+  std::string folder;
+  Strings only;
+  int workers = 2;
+  bool keep = false;
+};
+
+std::vector<Sortie> Sorties() {
+  return {
+      {"nadir", "straight leg, straight down", {"--frames", "200"}, {}},
+      {"oblique", "45 degrees oblique, 5 degrees field of view", {"--frames", "200", "--pitch-deg", "-45"}, {}},
+      {"wide",
+       "60 degrees down, 60 degrees field of view",
+       {"--frames", "200", "--pitch-deg", "-60", "--hfov-deg", "60"},
+       {"--set", "tre.view_model=PROJECTIVE"}},
+      {"lawnmower",
+       "three legs, movers, exposure steps",
+       {"--frames", "320", "--speed-px", "5", "--path", "lawnmower", "--movers", "12", "--exposure-step", "0.25"},
+       {}},
+      {"faulty",
+       "16 bit, fixed pattern, dead pixels, heavy noise, dropped frames",
+       {"--frames", "200", "--bits", "16", "--fixed-pattern-sigma", "3", "--dead-pixels", "0.003", "--noise-sigma", "5", "--drop", "0.05"},
+       {}},
+  };
+}
+
+// Runs a program of this build; its standard output, or what it complained about.
+Result<std::string> Call(const std::string& program, const Strings& arguments) {
+  Strings argv = {testing::BinaryPath(program).string()};
+  argv.insert(argv.end(), arguments.begin(), arguments.end());
+  const testing::Completed completed = testing::RunProgram(argv, std::chrono::minutes(60));
+  if (completed.exit_code == 0) return completed.stdout_text;
+  return Failed(fmt::format("{} {} ended with exit code {}: {}", program, arguments.front(), completed.exit_code, completed.stderr_text));
+}
+
+Strings With(Strings first, const Strings& more) {
+  first.insert(first.end(), more.begin(), more.end());
+  return first;
+}
+
+Result<nlohmann::json> RunAndScore(const Arguments& arguments, const Sortie& sortie, const fs::path& simulation) {
+  const fs::path mosaic = fs::path(arguments.folder) / (sortie.name + ".tif");
+  const std::string work = mosaic.string() + ".work";
+  TREM_RETURN_IF_ERROR(Call("trem", With({"run", (simulation / "sortie.textproto").string(), "-o", mosaic.string(), "--quiet", "--keep-work",
+                                          "--workers", std::to_string(arguments.workers)},
+                                         sortie.run))
+                           .status());
+  TREM_ASSIGN_OR_RETURN(const std::string text, Call("trem_score", {"--simulation", simulation.string(), "--mosaic", mosaic.string(), "--work",
+                                                                    work, "--json"}));
+  std::error_code ignored;
+  if (!arguments.keep) fs::remove_all(work, ignored);
+  return nlohmann::json::parse(text);
+}
+
+Status Bench(const Arguments& arguments, const Sortie& sortie) {
+  const fs::path simulation = fs::path(arguments.folder) / sortie.name;
+  Strings simulate = {"simulate"};
+  if (!arguments.truth.empty()) simulate.push_back(arguments.truth);
+  simulate = With(simulate, {"-o", simulation.string(), "--quiet", "--overwrite", "--control-points", "4"});
+  TREM_RETURN_IF_ERROR(Call("trem", With(simulate, sortie.simulation)).status());
+  const auto start = std::chrono::steady_clock::now();
+  TREM_ASSIGN_OR_RETURN(const nlohmann::json score, RunAndScore(arguments, sortie, simulation));
+  const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  const auto number = [&](const char* key) { return score.at(key).get<double>(); };
+  fmt::print("| {} | {:.4f} | {:.3f} / {:.3f} px | {:.2f} / {:.2f} dB | {:+.2f} dB | {:.2f} dB | {:.3f} m ({:.3f} m) | {:.3f} m | {:.0f} s |\n",
+             sortie.what, number("coverage"), number("distortion_median_px"), number("distortion_p95_px"), number("psnr_db"),
+             number("bicubic_psnr_db"), number("gain_db"), number("placement_loss_db"), number("absolute_error_m"), number("gps_bias_m"),
+             number("scene_sigma_m"), seconds);
+  std::fflush(stdout);
+  return {};
+}
+
+Status BenchAll(const Arguments& arguments) {
+  fmt::print(
+      "| sortie | coverage | distortion median / 95 % | PSNR mosaic / bicubic frame | gain | lost by placement | absolute error (GPS bias) | stated "
+      "standard error | time |\n| --- | --- | --- | --- | --- | --- | --- | --- | --- |\n");
+  for (const Sortie& sortie : Sorties()) {
+    if (!arguments.only.empty() && std::find(arguments.only.begin(), arguments.only.end(), sortie.name) == arguments.only.end()) continue;
+    TREM_RETURN_IF_ERROR(Bench(arguments, sortie).WithPrefix(sortie.name));
+  }
+  return {};
+}
+
+}  // namespace
+}  // namespace trem
+
+int main(int argc, char** argv) {
+  trem::Arguments arguments;
+  CLI::App app("Simulates sorties, makes their mosaics and scores them; prints a table.", "sortie_bench");
+  app.add_option("--truth", arguments.truth, "Image of the ground; default: a procedural terrain");
+  app.add_option("-o,--output", arguments.folder, "Folder for sorties and mosaics")->required();
+  app.add_option("--only", arguments.only, "Names of sorties: nadir, oblique, wide, lawnmower, faulty");
+  app.add_option("--workers", arguments.workers, "Worker processes")->check(CLI::Range(1, 64))->capture_default_str();
+  app.add_flag("--keep", arguments.keep, "Keep the work folders of the runs");
+  CLI11_PARSE(app, argc, argv);
+  const trem::Status status = trem::BenchAll(arguments);
+  if (status.ok()) return 0;
+  fmt::print(stderr, "sortie_bench: {}\n", status.message());
+  return 1;
+}
