@@ -50,7 +50,7 @@ class Gate {
 
   GateOptions options_;
   GateCounters counters_;
-  std::unordered_map<std::string, Budget> budgets_;       // By key (clients) or connection.
+  std::unordered_map<std::string, Budget> budgets_;      // By key (clients) or connection.
   std::unordered_map<std::string, TimeMs> answered_at_;  // By connection.
   TimeMs answers_counted_from_ms_ = 0;
   int answers_counted_ = 0;

@@ -14,6 +14,7 @@
 #include <string>
 
 #include "coordinator/app/gate.h"
+#include "coordinator/app/monitoring.h"
 #include "coordinator/app/shell.h"
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
@@ -46,6 +47,8 @@ struct CommandLine {
   std::string allow_folder;
   int connections_max = 4096;
   std::string log_level = "info";
+  std::string log_format = "text";
+  HttpServerOptions http;  // No address: none.
   bool die_with_parent = false;
   ShellOptions shell;
 };
@@ -59,8 +62,11 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--connections-max", options->connections_max, "Further connections are closed")
       ->check(CLI::Range(1, 1'000'000))
       ->capture_default_str();
-  app->add_option("--ready-file", options->ready_file, "Write the endpoint, with its real port, to this file once bound");
+  app->add_option("--ready-file", options->ready_file, "Write the endpoint, with its real port, and the --http address to this file once bound");
   app->add_option("--log-level", options->log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  app->add_option("--log-format", options->log_format, "text, or json: one object a line")->check(CLI::IsMember({"text", "json"}));
+  app->add_option("--http", options->http.address, "Serve /metrics, /healthz and /readyz here, for example 127.0.0.1:9411 (port 0: any)");
+  app->add_flag("--http-open", options->http.open, "Accept an --http address that other machines reach; there are no keys on that lane");
   app->add_flag("--die-with-parent", options->die_with_parent, "Stop when the process that started this one ends");
   app->add_option("--lease-ms", options->shell.scheduler.lease_ms, "A task without progress for this long goes to another worker")
       ->check(CLI::Range(100U, 86'400'000U))
@@ -108,7 +114,7 @@ Result<ChannelOptions> MakeChannelOptions(const CommandLine& options) {
   return channel;
 }
 
-Status Serve(RouterChannel* channel, Gate* gate, Shell* shell) {
+Status Serve(RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monitoring) {
   TimeMs last_tick_ms = 0;
   while (!stop_requested && !shell->shutdown_requested()) {
     bool drained = false;
@@ -129,7 +135,9 @@ Status Serve(RouterChannel* channel, Gate* gate, Shell* shell) {
       shell->Tick(now_ms);
       last_tick_ms = now_ms;
     }
+    monitoring->BeginCommit();
     TREM_RETURN_IF_ERROR(shell->Flush());
+    monitoring->Observe(now_ms, *channel, *gate, shell->scheduler());
   }
   return {};
 }
@@ -140,19 +148,23 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
                         EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
+  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<Monitoring> monitoring, Monitoring::Start(options.http));
+  ShellOptions shell_options = options.shell;
+  shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
   // Bound after the log was read: until then peers see nobody and queue nothing.
   std::unique_ptr<RouterChannel> channel;
   TREM_ASSIGN_OR_RETURN(
       const std::unique_ptr<Shell> shell,
-      Shell::Create(std::move(events), std::move(artefacts), options.shell,
+      Shell::Create(std::move(events), std::move(artefacts), shell_options,
                     [&channel](const std::string& peer, const v1::Envelope& envelope) { return channel->Send(peer, envelope); }));
   TREM_ASSIGN_OR_RETURN(channel, RouterChannel::Bind(options.endpoint, channel_options));
   channel_to_wake = channel.get();
   Gate gate;
   spdlog::info("listening on {}", channel->endpoint());
   Status status;
-  if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n");
-  if (status.ok()) status = Serve(channel.get(), &gate, shell.get());
+  monitoring->BecomeReady();
+  if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n" + monitoring->url() + "\n");
+  if (status.ok()) status = Serve(channel.get(), &gate, shell.get(), monitoring.get());
   channel_to_wake = nullptr;
   if (status.ok()) spdlog::info("stopped; everything that was acknowledged is in the log");
   return status;
@@ -169,7 +181,10 @@ int Main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? kExitDone : kExitUsage;
   }
-  ConfigureLog("trem-coordinator", options.log_level);
+  if (const Status configured = ConfigureLog("trem-coordinator", options.log_level, options.log_format); !configured.ok()) {
+    std::cerr << "trem-coordinator: " << configured.message() << '\n';
+    return kExitUsage;
+  }
   std::signal(SIGPIPE, SIG_IGN);
   std::signal(SIGTERM, OnStopSignal);
   std::signal(SIGINT, OnStopSignal);

@@ -1,7 +1,6 @@
 #include "coordinator/app/shell.h"
 
-#include <spdlog/spdlog.h>
-
+#include "mosaic/base/log.h"
 #include "mosaic/base/version.h"
 #include "proto/codec/convert.h"
 #include "proto/codec/envelope.h"
@@ -90,7 +89,8 @@ void Shell::Take(const Effect& effect) {
   if (const auto* append = std::get_if<AppendEffect>(&effect)) {
     unlogged_.push_back(append->event);
   } else if (const auto* dispatch = std::get_if<DispatchEffect>(&effect)) {
-    spdlog::debug("{} attempt {} -> worker {}", v1::TaskKind_Name(dispatch->task.kind()), dispatch->attempt, dispatch->worker_id);
+    LogWith(spdlog::level::debug, v1::TaskKind_Name(dispatch->task.kind()) + " handed out",
+            {{"task", dispatch->task.key()}, {"attempt", std::to_string(dispatch->attempt)}, {"worker", dispatch->worker_id}});
     *envelope.mutable_dispatch()->mutable_task() = dispatch->task;
     envelope.mutable_dispatch()->set_attempt(dispatch->attempt);
     envelope.mutable_dispatch()->set_lease_ms(dispatch->lease_ms);
@@ -104,8 +104,8 @@ void Shell::Take(const Effect& effect) {
     SendToWorker(cancel->worker_id, std::move(envelope));
   } else if (const auto* changed = std::get_if<JobChangedEffect>(&effect)) {
     const auto status = scheduler_.JobStatus(changed->job_id);
-    spdlog::info("job {}: {}{}{}", changed->job_id, v1::JobState_Name(status->state()), status->error().empty() ? "" : ": ",
-                 status->error());
+    LogWith(spdlog::level::info, v1::JobState_Name(status->state()) + (status->error().empty() ? "" : ": ") + status->error(),
+            {{"job", changed->job_id}});
   } else if (const auto* log = std::get_if<LogEffect>(&effect)) {
     spdlog::warn("{}", log->text);
   }
@@ -113,6 +113,7 @@ void Shell::Take(const Effect& effect) {
 
 Status Shell::Flush() {
   TREM_RETURN_IF_ERROR(events_->Append(unlogged_));
+  if (options_.on_logged && !unlogged_.empty()) options_.on_logged(unlogged_);
   unlogged_.clear();
   for (const auto& [peer, envelope] : unsent_) {
     if (send_(peer, envelope) || !envelope.has_dispatch()) continue;
@@ -195,7 +196,10 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
   if (!is_new) worker_ids_.erase(workers_.at(hello.worker_id()).peer);
   workers_[hello.worker_id()] = {peer, now_ms};
   worker_ids_[peer] = hello.worker_id();
-  if (is_new) spdlog::info("worker {} (process {} on {}) joined", hello.worker_id(), hello.pid(), hello.host());
+  if (is_new) {
+    LogWith(spdlog::level::info, "worker joined",
+            {{"worker", hello.worker_id()}, {"host", hello.host()}, {"pid", std::to_string(hello.pid())}});
+  }
 
   v1::Envelope welcome;
   welcome.mutable_welcome()->set_heartbeat_interval_ms(options_.heartbeat_interval_ms);
@@ -226,7 +230,7 @@ void Shell::OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::En
   } else if (envelope.has_done()) {
     Feed(now_ms, MakeDoneEvent(worker_id, envelope.done()));
   } else if (envelope.has_goodbye()) {
-    spdlog::info("worker {} left: {}", worker_id, envelope.goodbye().reason());
+    LogWith(spdlog::level::info, "worker left: " + envelope.goodbye().reason(), {{"worker", worker_id}});
     Feed(now_ms, WorkerGoodbyeEvent{worker_id});
     ForgetWorker(worker_id);
   }
@@ -297,7 +301,8 @@ void Shell::Tick(TimeMs now_ms) {
     if (now_ms - worker.last_heard_ms > silence_ms_max) lost.push_back(worker_id);
   }
   for (const std::string& worker_id : lost) {
-    spdlog::warn("worker {} was silent for more than {} ms and is taken for lost", worker_id, silence_ms_max);
+    LogWith(spdlog::level::warn, "worker was silent for more than " + std::to_string(silence_ms_max) + " ms and is taken for lost",
+            {{"worker", worker_id}});
     Feed(now_ms, WorkerLostEvent{worker_id});
     ForgetWorker(worker_id);
   }

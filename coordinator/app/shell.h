@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -24,6 +25,8 @@ struct ShellOptions {
   // A worker that was silent for this many intervals is lost and its tasks go to others. Fewer: a stopped worker is noticed sooner, but a
   // busy machine may lose live ones.
   std::uint32_t heartbeats_missed_max = 8;
+  // Told of events as soon as they are durable; for metrics. May be empty.
+  std::function<void(std::span<const v1::LogEvent>)> on_logged;
 };
 
 // What stands between the outside and the pure scheduler: turns messages into events, makes the scheduler's log events durable, and
@@ -48,6 +51,7 @@ class Shell {
   // the log: the caller has to give up, and a new Shell starts from the log.
   Status Flush();
 
+  const Scheduler& scheduler() const { return scheduler_; }
   // A client asked for the end.
   bool shutdown_requested() const { return shutdown_requested_; }
 

@@ -46,8 +46,12 @@ void Authenticator::Serve() {
     const bool allowed = !key.empty() && allow_list_->Find(key).has_value();
     if (!allowed) ++refused_count_;
     // Version, request id, status code, text, user id, metadata.
-    const std::array<std::string, 6> reply = {"1.0", request.frames.size() > 1 ? request.frames[1] : "", allowed ? "200" : "400",
-                                              allowed ? "OK" : "unknown key", allowed ? key : "", ""};
+    const std::array<std::string, 6> reply = {"1.0",
+                                              request.frames.size() > 1 ? request.frames[1] : "",
+                                              allowed ? "200" : "400",
+                                              allowed ? "OK" : "unknown key",
+                                              allowed ? key : "",
+                                              ""};
     try {
       for (std::size_t i = 0; i < reply.size(); ++i) {
         socket_.send(zmq::buffer(reply[i]), i + 1 < reply.size() ? zmq::send_flags::sndmore : zmq::send_flags::none);

@@ -66,7 +66,8 @@ Result<v1::KeyFile> ReadKeyFile(const fs::path& path) {
   if (key.role() == v1::ROLE_UNSPECIFIED || !v1::Role_IsValid(key.role())) {
     return InvalidInput("key file " + path.string() + " has no role; expected CLIENT, WORKER, ADMIN or COORDINATOR");
   }
-  if (!IsZ85Key(key.public_key())) return InvalidInput("key file " + path.string() + " has no usable public_key; make it anew with `trem keys`");
+  if (!IsZ85Key(key.public_key()))
+    return InvalidInput("key file " + path.string() + " has no usable public_key; make it anew with `trem keys`");
   return key;
 }
 
@@ -92,7 +93,8 @@ std::string ToText(const v1::KeyFile& key) {
 
 Result<v1::KeyFile> MakeKey(const std::string& name, v1::Role role) {
   TREM_RETURN_IF_ERROR(CheckName(name));
-  if (role == v1::ROLE_UNSPECIFIED || !v1::Role_IsValid(role)) return InvalidInput("a key needs a role: client, worker, admin or coordinator");
+  if (role == v1::ROLE_UNSPECIFIED || !v1::Role_IsValid(role))
+    return InvalidInput("a key needs a role: client, worker, admin or coordinator");
   std::array<char, kKeyChars + 1> public_key{}, secret_key{};
   if (zmq_curve_keypair(public_key.data(), secret_key.data()) != 0) {
     return Failed("cannot make a CURVE key: the installed libzmq was built without CURVE");
@@ -126,7 +128,8 @@ Result<v1::KeyFile> ReadSecretKey(const fs::path& path) {
   TREM_RETURN_IF_ERROR(CheckPrivate(path));
   TREM_ASSIGN_OR_RETURN(v1::KeyFile key, ReadKeyFile(path));
   std::array<char, kKeyChars + 1> derived{};
-  if (!IsZ85Key(key.secret_key())) return InvalidInput("key file " + path.string() + " has no secret_key; expected a .key file, not a .pub");
+  if (!IsZ85Key(key.secret_key()))
+    return InvalidInput("key file " + path.string() + " has no secret_key; expected a .key file, not a .pub");
   if (zmq_curve_public(derived.data(), key.secret_key().c_str()) != 0 || key.public_key() != derived.data()) {
     return InvalidInput("key file " + path.string() + ": its two halves do not belong together; make it anew with `trem keys`");
   }
@@ -152,7 +155,8 @@ Result<AllowList::Entries> AllowList::Load(const fs::path& folder, std::vector<S
     } else if (!entries.emplace(key->public_key(), Entry{key->name(), key->role()}).second) {
       problems->push_back(InvalidInput(it->path().string() + " holds a key that another .pub file of the folder holds too; remove one"));
     }
-    if (entries.size() > kAllowedKeysMax) return Exhausted(folder.string() + " holds more than " + std::to_string(kAllowedKeysMax) + " keys");
+    if (entries.size() > kAllowedKeysMax)
+      return Exhausted(folder.string() + " holds more than " + std::to_string(kAllowedKeysMax) + " keys");
   }
   if (error) return FromErrno("cannot list the folder of allowed keys " + folder.string(), error.value());
   return entries;

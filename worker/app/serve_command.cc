@@ -36,6 +36,7 @@ struct ServeOptions {
   std::uint32_t give_up_s = 0;
   bool die_with_parent = false;
   std::string log_level = "info";
+  std::string log_format = "text";
 };
 
 // Read by the signal handler.
@@ -116,12 +117,17 @@ int RunServeCommand(int argc, char** argv) {
       ->capture_default_str();
   app.add_flag("--die-with-parent", options.die_with_parent, "Stop when the process that started this one dies");
   app.add_option("--log-level", options.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
+  app.add_option("--log-format", options.log_format, "text, or json: one object a line")->check(CLI::IsMember({"text", "json"}));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
     return ExitOfParseError(&app, error);
   }
-  ConfigureLog("trem-worker " + std::to_string(::getpid()), options.log_level);
+  if (const Status configured = ConfigureLog("trem-worker " + std::to_string(::getpid()), options.log_level, options.log_format);
+      !configured.ok()) {
+    std::cerr << "trem-worker: " << configured.message() << "\n";
+    return kExitUsage;
+  }
   InstallSignalHandlers();
   if (options.die_with_parent) {
     const pid_t parent = ::getppid();

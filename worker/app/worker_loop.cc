@@ -170,7 +170,8 @@ class WorkerLoop {
     queued_.pop_front();
     running_ = AttemptOf(dispatch);
     next_progress_ = {};
-    spdlog::info("{} task {} attempt {}", v1::TaskKind_Name(dispatch.task().kind()), running_->task_key(), running_->attempt());
+    LogWith(spdlog::level::info, v1::TaskKind_Name(dispatch.task().kind()) + " begins",
+            {{"task", running_->task_key()}, {"attempt", std::to_string(running_->attempt())}, {"worker", options_.worker_id}});
     compute_.Start(std::move(*dispatch.mutable_task()));
   }
 
@@ -179,8 +180,9 @@ class WorkerLoop {
     if (!finished) return;
     v1::TaskAttempt attempt = *std::exchange(running_, std::nullopt);
     stuck_deadline_.reset();
-    spdlog::info("task {} attempt {} ended after {} ms: {}", attempt.task_key(), attempt.attempt(), finished->elapsed.count(),
-                 finished->result.status().ToString());
+    LogWith(spdlog::level::info,
+            "ended after " + std::to_string(finished->elapsed.count()) + " ms: " + finished->result.status().ToString(),
+            {{"task", attempt.task_key()}, {"attempt", std::to_string(attempt.attempt())}, {"worker", options_.worker_id}});
     const bool is_cancelled = !finished->result.ok() && finished->result.status().code() == StatusCode::kCancelled;
     if (drain_deadline_ && is_cancelled) return;  // Goodbye hands it back.
     const auto newer =

@@ -43,8 +43,8 @@ bool SourceGuard::Allows(const fs::path& path) const {
   const std::string text = path.string();
   if (IsVirtual(text)) {
     // Nested ones, such as /vsizip//vsicurl/..., begin with something that no root names.
-    return text.find("..") == std::string::npos && std::any_of(virtual_roots_.begin(), virtual_roots_.end(),
-                                                               [&](const std::string& root) { return text.starts_with(root); });
+    return text.find("..") == std::string::npos &&
+           std::any_of(virtual_roots_.begin(), virtual_roots_.end(), [&](const std::string& root) { return text.starts_with(root); });
   }
   std::error_code error;
   const fs::path canonical = fs::weakly_canonical(path, error);

@@ -8,6 +8,7 @@
 #include <thread>
 
 #include "proto/channel/dealer_channel.h"
+#include "tests/support/loopback.h"
 #include "tests/support/paths.h"
 #include "tests/support/subprocess.h"
 
@@ -72,6 +73,31 @@ TEST_F(CoordinatorProcessTest, RemembersAJobThroughAKillAndEndsCleanlyOnSigterm)
   const auto exit = coordinator.Wait(10s);
   ASSERT_TRUE(exit.has_value());
   EXPECT_EQ(exit->code, 0) << coordinator.Stderr();
+}
+
+TEST_F(CoordinatorProcessTest, ServesMetricsAndProbes) {
+  std::vector<std::string> arguments = Arguments();
+  arguments.insert(arguments.end(), {"--http", "127.0.0.1:0", "--log-format", "json"});
+  Subprocess coordinator(arguments);
+  v1::Envelope submit;
+  submit.mutable_submit_job()->set_job_id("job");
+  submit.mutable_submit_job()->mutable_sortie()->mutable_source()->set_path("/data/leg");
+  ASSERT_TRUE(Ask(Endpoint(), submit).has_job_status()) << coordinator.Stderr();
+  const std::string ready = FileContents(folder / "ready");
+  const std::string url = ready.substr(ready.find('\n') + 1, ready.rfind('\n') - ready.find('\n') - 1);
+  EXPECT_THAT(HttpGet(url, "/healthz"), HasSubstr("ok"));
+  EXPECT_THAT(HttpGet(url, "/readyz"), HasSubstr("ready"));
+  EXPECT_THAT(HttpGet(url, "/else"), HasSubstr("404"));
+  std::string metrics;
+  for (int i = 0; i < 100 && metrics.find("trem_jobs{state=\"running\"} 1") == std::string::npos; ++i) {  // They follow once a second.
+    std::this_thread::sleep_for(100ms);
+    metrics = HttpGet(url, "/metrics");
+  }
+  for (const char* line : {"trem_jobs{state=\"running\"} 1", "trem_tasks_waiting 1", "trem_workers 0", "trem_store_events_total ",
+                           "trem_store_commit_seconds_count ", "trem_build_info{", "# HELP trem_tasks_waiting", "# TYPE trem_tasks_waiting gauge"}) {
+    EXPECT_THAT(metrics, HasSubstr(line));
+  }
+  EXPECT_THAT(coordinator.Stderr(), HasSubstr("\"job\":\"job\""));
 }
 
 TEST_F(CoordinatorProcessTest, EndsWhenAClientAsksForItAfterSayingGoodbye) {

@@ -26,10 +26,10 @@ v1::Envelope Heartbeat() {
 TEST(GateTest, EveryRoleMaySayWhatItShouldAndNothingElse) {
   // Client, worker, admin.
   const std::map<std::string, std::string> expected = {
-      {"hello", "-w-"},      {"progress", "-w-"},     {"done", "-w-"},         {"goodbye", "-w-"},   {"heartbeat", "cwa"},
-      {"submit_job", "c-a"}, {"get_job", "c-a"},      {"list_jobs", "c-a"},    {"cancel_job", "c-a"}, {"list_workers", "c-a"},
-      {"shutdown", "--a"},   {"welcome", "---"},      {"dispatch", "---"},     {"ack", "---"},       {"cancel_task", "---"},
-      {"job_status", "---"}, {"job_list", "---"},     {"worker_list", "---"},  {"error", "---"},     {"bye", "---"},
+      {"hello", "-w-"},      {"progress", "-w-"}, {"done", "-w-"},        {"goodbye", "-w-"},    {"heartbeat", "cwa"},
+      {"submit_job", "c-a"}, {"get_job", "c-a"},  {"list_jobs", "c-a"},   {"cancel_job", "c-a"}, {"list_workers", "c-a"},
+      {"shutdown", "--a"},   {"welcome", "---"},  {"dispatch", "---"},    {"ack", "---"},        {"cancel_task", "---"},
+      {"job_status", "---"}, {"job_list", "---"}, {"worker_list", "---"}, {"error", "---"},      {"bye", "---"},
   };
   const auto* body = v1::Envelope::descriptor()->FindOneofByName("body");
   for (int i = 0; i < body->field_count(); ++i) {
