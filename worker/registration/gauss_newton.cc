@@ -163,8 +163,8 @@ View ScanStarts(const RegistrationLevel& level, const Observation& observation, 
   return best.second;
 }
 
-RegistrationLevel FinestLevel(const Observation& observation, const Reference& reference) {
-  return {observation.roi_pixels, observation.weights, reference.prediction, reference.seen, 1.0, 1.0, 1};
+RegistrationLevel FinestLevel(const Observation& observation, const Reference& reference, int threads = 1) {
+  return {observation.roi_pixels, observation.weights, reference.prediction, reference.seen, 1.0, 1.0, 1, threads};
 }
 
 // What the last evaluation says of the view that its step led to.
@@ -242,7 +242,7 @@ Registration RegisterGaussNewton(const Observation& observation, const Reference
     if (l == pyramid.frames.size()) result.view = ScanStarts(level, observation, reference, wide, options, sigma, start);
     IterateLevel(observation, reference, level, wide, options, sigma, 0.02 * step, &result.view, nullptr);
   }
-  const RegistrationLevel finest = FinestLevel(observation, reference);
+  const RegistrationLevel finest = FinestLevel(observation, reference, options.threads);
   // A part of the pixels carries enough to come close; the last iterations use every one.
   for (const int stride : {6, 3}) {
     const int side = std::min(observation.roi.width(), observation.roi.height()) / stride;

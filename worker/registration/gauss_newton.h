@@ -35,6 +35,7 @@ struct GaussNewtonOptions {
   // Residuals beyond this many standard deviations lose influence (Huber). Lower: more robust, less efficient.
   double huber_sigmas = 3.0;
   GainOffset gain_offset = GainOffset::kMaximumLikelihood;
+  int threads = 1;  // Of the full resolution; the result does not depend on it.
 };
 
 // Outcome of a registration, whatever the method.

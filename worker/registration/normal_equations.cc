@@ -2,10 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <vector>
+
+#include "worker/sensor/parallel.h"
 
 namespace trem {
 namespace {
 
+// Rows that one thread takes at a time.
+constexpr int kBandRows = 32;
 constexpr int kPowersOfT = 5;
 using Totals = std::array<std::array<double, kMomentCount>, kPowersOfT>;
 
@@ -216,6 +221,11 @@ NormalEquations Assemble(const Totals& totals, const View& view, const Roi& roi,
 
 }  // namespace
 
+void ResidualHistogram::Add(const ResidualHistogram& other) {
+  total += other.total;
+  for (std::size_t bin = 0; bin < counts.size(); ++bin) counts[bin] += other.counts[bin];
+}
+
 double ResidualHistogram::Median() const {
   if (total == 0) return 0.0;
   const double half = 0.5 * static_cast<double>(total);
@@ -234,23 +244,38 @@ NormalEquations AccumulateNormal(const RegistrationLevel& level, const Roi& roi,
   long long candidates = 0;
   const bool usable = level.prediction->width() >= 4 && level.prediction->height() >= 4;
   if (usable && std::isfinite(view.gain) && std::isfinite(view.offset)) {
-    RowMaker maker(level, roi, reference, view, model, huber_sigmas * noise_sigma);
-    MomentScratch scratch;
-    float moments[kMomentCount];
+    const int stride = level.pixel_stride;
+    const int rows = std::max(level.frame->height() - stride / 2 + stride - 1, 0) / stride;
+    const auto row_of = [stride](int index) { return stride / 2 + index * stride; };
+    const int bands = (rows + kBandRows - 1) / kBandRows;
+    std::vector<float> moments(static_cast<std::size_t>(rows) * kMomentCount);
+    std::vector<ResidualHistogram> histograms(histogram != nullptr ? static_cast<std::size_t>(std::max(level.threads, 1)) : 0);
+    std::vector<long long> counts(static_cast<std::size_t>(rows), 0);
+    ForEachIndex(level.threads, bands, [&](int band, int slot) {
+      RowMaker maker(level, roi, reference, view, model, huber_sigmas * noise_sigma);
+      MomentScratch scratch;
+      for (int index = band * kBandRows; index < std::min((band + 1) * kBandRows, rows); ++index) {
+        const MomentRow& row = maker.Row(row_of(index));
+        RowMoments(row, maker.projective(), &scratch, moments.data() + static_cast<std::size_t>(index) * kMomentCount);
+        counts[static_cast<std::size_t>(index)] = row.count;
+        if (histogram != nullptr && index % 2 == 0) {
+          CountResiduals(scratch, row.count, noise_sigma, &histograms[static_cast<std::size_t>(slot)]);
+        }
+      }
+    });
+    // Rows are added in their order, whoever has made them; counts have no order.
     const double height = std::max(roi.height() - 1, 1);
-    int row_index = 0;
-    for (int v = level.pixel_stride / 2; v < level.frame->height(); v += level.pixel_stride, ++row_index) {
-      const MomentRow& row = maker.Row(v);
-      RowMoments(row, maker.projective(), &scratch, moments);
-      candidates += row.count;
-      const double t = FullFromLevel(v, level.frame_step) / height;
+    for (int index = 0; index < rows; ++index) {
+      const float* row = moments.data() + static_cast<std::size_t>(index) * kMomentCount;
+      candidates += counts[static_cast<std::size_t>(index)];
+      const double t = FullFromLevel(row_of(index), level.frame_step) / height;
       double power = 1.0;
       for (int k = 0; k < (model == ViewModel::kProjective ? 5 : 3); ++k, power *= t) {
         auto& total = totals[static_cast<std::size_t>(k)];
-        for (std::size_t m = 0; m < kMomentCount; ++m) total[m] += power * static_cast<double>(moments[m]);
+        for (std::size_t m = 0; m < kMomentCount; ++m) total[m] += power * static_cast<double>(row[m]);
       }
-      if (histogram != nullptr && row_index % 2 == 0) CountResiduals(scratch, row.count, noise_sigma, histogram);
     }
+    for (const ResidualHistogram& part : histograms) histogram->Add(part);
   }
   NormalEquations normal = Assemble(totals, view, roi, model, noise_sigma);
   normal.candidates = candidates;

@@ -23,6 +23,7 @@ struct RegistrationLevel {
   double frame_step = 1.0;      // Full-resolution sensor pixels per level pixel.
   double reference_step = 1.0;  // Full-resolution cells per level cell.
   int pixel_stride = 1;         // Uses every n-th pixel of every n-th row.
+  int threads = 1;              // The result does not depend on it.
 };
 
 // Coordinates of pixel k of a grid reduced by `step`: the centre of the block it averages.
@@ -37,6 +38,7 @@ struct ResidualHistogram {
   long long total = 0;
   // Median of |residual| [sigma]; 0 when empty, 16 when more than half lie beyond.
   double Median() const;
+  void Add(const ResidualHistogram& other);
 };
 
 // Gauss-Newton's normal equations at one view, a step = b, and what validation needs. Everything but `a` and `b` is per pixel used.

@@ -63,11 +63,13 @@ std::string Doubt(const Registration& registration, const Observation& observati
     return "ended in a singular view: its ROI would collapse or blow up more than 16 times in the scene";
   }
   if (registration.overlap < kOverlapMin) {
-    std::snprintf(text, sizeof text, "overlaps the scene by %.0f %% only; at least %.0f %% needed", 100.0 * registration.overlap, 100.0 * kOverlapMin);
+    std::snprintf(text, sizeof text, "overlaps the scene by %.0f %% only; at least %.0f %% needed", 100.0 * registration.overlap,
+                  100.0 * kOverlapMin);
     return text;
   }
   if (registration.correlation < kCorrelationMin && registration.residual_rms > kNoiseExplains * observation.noise_sigma) {
-    std::snprintf(text, sizeof text, "does not match the scene: correlation %.2f (at least %.2f needed), residual %.1f grey levels at noise %.1f",
+    std::snprintf(text, sizeof text,
+                  "does not match the scene: correlation %.2f (at least %.2f needed), residual %.1f grey levels at noise %.1f",
                   registration.correlation, kCorrelationMin, registration.residual_rms, observation.noise_sigma);
     return text;
   }
@@ -96,6 +98,7 @@ JudgedRegistration TryFrom(const View& start, int levels, const Observation& obs
   GaussNewtonOptions options;
   options.pyramid_levels = levels;
   options.gain_offset = request.gain_offset;
+  options.threads = request.threads;
   return Judge(RegisterGaussNewton(observation, reference, request.prior, start, options), observation, reference, request);
 }
 
@@ -126,17 +129,20 @@ JudgedRegistration Register(const Observation& observation, const Reference& ref
     case RegistrationMethod::kHints: {
       HintsSettings settings;
       settings.gain_offset = request.gain_offset;
-      return Judge(RegisterHints(observation, reference, request.prior, HintsUse::kFull, request.stream, settings), observation, reference, request);
+      return Judge(RegisterHints(observation, reference, request.prior, HintsUse::kFull, request.stream, settings), observation, reference,
+                   request);
     }
     case RegistrationMethod::kPairwise:
-      return Judge(RegisterPairwise(observation, reference, request.prior, FullChart(request.prior, observation.roi), {}), observation, reference,
-                   request);
+      return Judge(RegisterPairwise(observation, reference, request.prior, FullChart(request.prior, observation.roi), {}), observation,
+                   reference, request);
     case RegistrationMethod::kHintsThenGaussNewton: {
       const Registration captured = RegisterHints(observation, reference, request.prior, HintsUse::kCapture, request.stream);
       return TryFrom(captured.view, 0, observation, reference, request);
     }
-    case RegistrationMethod::kGaussNewton: return GaussNewtonWithPyramids(observation, reference, request);
-    case RegistrationMethod::kAuto: break;
+    case RegistrationMethod::kGaussNewton:
+      return GaussNewtonWithPyramids(observation, reference, request);
+    case RegistrationMethod::kAuto:
+      break;
   }
   JudgedRegistration judged = GaussNewtonWithPyramids(observation, reference, request);
   if (judged.doubt.empty()) return judged;

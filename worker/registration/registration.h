@@ -23,6 +23,7 @@ struct RegistrationRequest {
   GainOffset gain_offset = GainOffset::kMaximumLikelihood;
   // How far a corner may end from the prior's mean [sensor px] to be believed.
   double motion_px_max = 20.0;
+  int threads = 1;                      // Of Gauss-Newton; the result does not depend on it.
   std::uint64_t stream[3] = {0, 0, 0};  // Key of the random stream: seed, window, frame.
 };
 

@@ -5,6 +5,8 @@ namespace trem {
 // Index of the pixel that continues an image of `size` pixels at `i` by half-sample reflection: ... b a | a b c ... y z | z y ...
 inline int ReflectIndex(int i, int size) {
   if (i >= 0 && i < size) return i;
+  if (i < 0 && i >= -size) return -1 - i;
+  if (i >= size && i < 2 * size) return 2 * size - 1 - i;
   const int period = 2 * size;
   i %= period;
   if (i < 0) i += period;

@@ -5,7 +5,9 @@
 #include <numbers>
 
 #include "worker/sensor/bicubic.h"
+#include "worker/sensor/parallel.h"
 #include "worker/tre/information_update.h"
+#include "worker/tre/update_kernels.h"
 
 namespace trem {
 namespace {
@@ -23,8 +25,11 @@ constexpr double kKept = 0.9;
 constexpr double kLogFactorMax = 3.0;
 constexpr double kLogStepMax = 0.4;
 constexpr int kProbeIterations = 8;
-constexpr int kProbesDense = 6;  // Frames at the start that all make a probe; later every third does.
+// Frames at the start that all make a probe; then every third does, and when the weight has long settled every twelfth.
+constexpr int kProbesDense = 6;
+constexpr int kProbesOften = 48;
 constexpr int kProbeEvery = 3;
+constexpr int kProbeSeldom = 12;
 // A difference of scale below this part of sigma is noise: bounds lambda on ground without any texture.
 constexpr double kScaleMin = 0.1;
 constexpr float kSeenMin = 0.75F;
@@ -53,34 +58,17 @@ struct Texture {
 
 // Of the cells that were seen, over every third row.
 Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
-  double sum = 0.0;
-  double squares = 0.0;
-  double seen_sum = 0.0;
-  long long count = 0;
+  TextureSums sum;
   for (int y = inner.y0; y + 1 < inner.y1; y += 3) {
-    const float* row = buffer.scene.row(y);
-    const float* below = buffer.scene.row(y + 1);
-    const float* seen = buffer.seen.row(y);
-    float row_sum = 0.0F;
-    float row_squares = 0.0F;
-    float row_seen = 0.0F;
-    for (int x = inner.x0; x + 1 < inner.x1; ++x) {
-      if (seen[x] < kSeenMin) continue;
-      const float across = row[x + 1] - row[x];
-      const float down = below[x] - row[x];
-      row_sum += std::abs(across) + std::abs(down);
-      row_squares += across * across + down * down;
-      row_seen += seen[x];
-      ++count;
-    }
-    sum += row_sum;
-    squares += row_squares;
-    seen_sum += row_seen;
+    const TextureSums row = SumTexture(buffer.scene.row(y) + inner.x0, buffer.scene.row(y + 1) + inner.x0, buffer.seen.row(y) + inner.x0,
+                                       kSeenMin, std::max(inner.width() - 1, 0));
+    sum.size += row.size;
+    sum.squares += row.squares;
+    sum.seen += row.seen;
+    sum.count += row.count;
   }
-  if (count == 0) return {};
-  const double mean = sum / static_cast<double>(2 * count);
-  const double rms = std::sqrt(squares / static_cast<double>(2 * count));
-  return {mean, rms, std::max(seen_sum / static_cast<double>(count), 1.0)};
+  if (sum.count == 0.0) return {};
+  return {sum.size / (2.0 * sum.count), std::sqrt(sum.squares / (2.0 * sum.count)), std::max(sum.seen / sum.count, 1.0)};
 }
 
 Image<float> Cropped(const Image<float>& image, const Roi& roi) {
@@ -91,8 +79,8 @@ Image<float> Cropped(const Image<float>& image, const Roi& roi) {
 
 }  // namespace
 
-AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn)
-    : psf_(psf), kind_(kind), ratio_(ratio), learn_(learn), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
+AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn, int threads)
+    : psf_(psf), kind_(kind), ratio_(ratio), learn_(learn), threads_(threads), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
 
 StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBuffer& buffer, double noise_sigma) const {
   const Texture texture = TextureOf(buffer.InBuffer(region), buffer);
@@ -120,7 +108,7 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   probe_.reset();
   if (!learn_) return;
   const int turn = probe_count_++;
-  if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
+  if (turn >= kProbesDense && turn % (turn < kProbesOften ? kProbeEvery : kProbeSeldom) != 0) return;
   // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over
   // what the ROI will see again.
   const int rim = psf_.radius() + 3 * ratio_;
@@ -143,13 +131,11 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   tile.weight = Cropped(buffer.weight, crop);
   tile.weighted = Cropped(buffer.weighted, crop);
   tile.majoriser = Cropped(buffer.majoriser, crop);
-  StructureWeight weight = Weight(region, buffer, noise_sigma);
+  const StructureWeight middle = Weight(region, buffer, noise_sigma);
   Probe probe{inner, extent, {}, {}};
-  const float middle = weight.lambda;
-  weight.lambda = 0.5F * middle;
-  probe.less = Predicted(tile, inner, weight);
-  weight.lambda = 2.0F * middle;
-  probe.more = Predicted(tile, inner, weight);
+  ForEachIndex(threads_, 2, [&](int which, int) {
+    (which == 0 ? probe.less : probe.more) = Predicted(tile, inner, {(which == 0 ? 0.5F : 2.0F) * middle.lambda, middle.delta});
+  });
   probe_ = std::move(probe);
 }
 

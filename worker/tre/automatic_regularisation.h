@@ -34,12 +34,13 @@ struct StructureWeight {
 //
 // Without learning lambda = 0.0031 sigma^2 (1 + 0.03 n), delta = 4, whatever the scene.
 //
-// Deterministic. Cost: 2 x 8 iterations on a quarter of the ROI for the first six frames, on a ninth for every third frame after. Sources:
+// Deterministic. Cost: 2 x 8 iterations on a quarter of the ROI for the first six frames, on a ninth for every third frame up to the 48th
+// and every twelfth after. Sources:
 // Ljung & Soderstrom, Theory and Practice of Recursive Identification, 1983, 3.6 (recursive prediction error); Dawid, JRSS A 147, 1984
 // (prequential).
 class AutomaticRegularisation {
  public:
-  AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn = true);
+  AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn = true, int threads = 1);
 
   // Holds the probe against a registered frame that the scene has not used yet.
   void Learn(const Observation& observation, const View& view);
@@ -65,6 +66,7 @@ class AutomaticRegularisation {
   StructurePriorKind kind_;
   int ratio_;
   bool learn_;
+  int threads_;
   std::optional<Probe> probe_;
   double log_factor_ = 0.0;
   double information_;

@@ -8,8 +8,8 @@
 namespace trem {
 namespace {
 
-// Every so many pixels in each axis: some 1000 samples of a ROI tell a percentile to a hundredth of the spread.
-constexpr int kStride = 4;
+// Some 600 samples of a ROI tell a percentile to a fiftieth of the spread.
+constexpr double kSamplesAbout = 600.0;
 constexpr std::size_t kSamplesMin = 64;
 // Jumps from which the start of a registration is moved.
 constexpr double kGainJump = 1.3;
@@ -35,8 +35,9 @@ std::optional<Brightness> BrightnessJump(const Observation& observation, const R
   std::vector<float> predicted;
   const Roi& roi = observation.roi;
   const Image<float>& prediction = *reference.prediction;
-  for (int v = kStride / 2; v < roi.height(); v += kStride) {
-    for (int u = kStride / 2; u < roi.width(); u += kStride) {
+  const int stride = std::max(1, static_cast<int>(std::sqrt(static_cast<double>(roi.area()) / kSamplesAbout)));
+  for (int v = stride / 2; v < roi.height(); v += stride) {
+    for (int u = stride / 2; u < roi.width(); u += stride) {
       const float value = observation.roi_pixels->at(u, v);
       if (std::isnan(value) || !(observation.weight(u, v) > 0.0F)) continue;
       const Eigen::Vector2d cell = expected.scene_from_sensor * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);

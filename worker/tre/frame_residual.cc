@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 
+#include "worker/sensor/parallel.h"
 #include "worker/tre/view_row.h"
 
 namespace trem {
@@ -11,6 +12,8 @@ namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kFar = 1e9F;
+// Rows that one thread takes at a time.
+constexpr int kBandRows = 64;
 // Less than about one frame behind a cell: nothing to compare with.
 constexpr float kSeenMin = 0.75F;
 // Model error as a part of the contrast, of a settled scene and of one frame's.
@@ -23,7 +26,7 @@ void FitSize(int width, int height, Image<float>* image) {
 
 }  // namespace
 
-void FrameResidual::Predict(const Observation& observation, const View& view, const SceneBuffer& buffer) {
+void FrameResidual::Predict(const Observation& observation, const View& view, const SceneBuffer& buffer, int begin, int end) {
   const Roi& roi = observation.roi;
   const Image<float>& prediction = buffer.prediction;
   const float gain = static_cast<float>(view.gain);
@@ -32,7 +35,7 @@ void FrameResidual::Predict(const Observation& observation, const View& view, co
   const float top = static_cast<float>(buffer.extent.y0);
   const float x_max = static_cast<float>(prediction.width() - 1);
   const float y_max = static_cast<float>(prediction.height() - 1);
-  for (int v = 0; v < roi.height(); ++v) {
+  for (int v = begin; v < end; ++v) {
     const ViewRow row(view.scene_from_sensor, roi, v);
     float* out = predicted.row(v);
     float* n = frames_seen.row(v);
@@ -61,11 +64,11 @@ void FrameResidual::Predict(const Observation& observation, const View& view, co
   }
 }
 
-void FrameResidual::Explain(const Observation& observation) {
+// Over three rows; NaNs take no part.
+void FrameResidual::FindRange(int begin, int end) {
   const int width = predicted.width();
   const int height = predicted.height();
-  // Range over three rows, then over three columns; NaNs take no part.
-  for (int v = 0; v < height; ++v) {
+  for (int v = begin; v < end; ++v) {
     const float* rows[] = {predicted.row(std::max(v - 1, 0)), predicted.row(v), predicted.row(std::min(v + 1, height - 1))};
     float* low = low_.row(v) + 1;
     float* high = high_.row(v) + 1;
@@ -82,8 +85,12 @@ void FrameResidual::Explain(const Observation& observation) {
     low[-1] = low[width] = kFar;
     high[-1] = high[width] = -kFar;
   }
+}
+
+void FrameResidual::Explain(const Observation& observation, int begin, int end) {
+  const int width = predicted.width();
   const float noise2 = static_cast<float>(observation.noise_sigma * observation.noise_sigma);
-  for (int v = 0; v < height; ++v) {
+  for (int v = begin; v < end; ++v) {
     const float* low = low_.row(v) + 1;
     const float* high = high_.row(v) + 1;
     const float* n = frames_seen.row(v);
@@ -102,14 +109,21 @@ void FrameResidual::Explain(const Observation& observation) {
   }
 }
 
-void FrameResidual::Compute(const Observation& observation, const View& view, const SceneBuffer& buffer) {
+void FrameResidual::Compute(const Observation& observation, const View& view, const SceneBuffer& buffer, int threads) {
   const int width = observation.roi.width();
   const int height = observation.roi.height();
   for (Image<float>* plane : {&predicted, &value, &variance, &frames_seen}) FitSize(width, height, plane);
   for (Image<float>* plane : {&low_, &high_}) FitSize(width + 2, height, plane);
   if (ones_.width() != width) ones_ = Image<float>(width, 1, 1.0F);
-  Predict(observation, view, buffer);
-  Explain(observation);
+  const int bands = (height + kBandRows - 1) / kBandRows;
+  const auto for_bands = [&](const auto& body) {
+    ForEachIndex(threads, bands, [&](int band, int) { body(band * kBandRows, std::min((band + 1) * kBandRows, height)); });
+  };
+  for_bands([&](int begin, int end) { Predict(observation, view, buffer, begin, end); });
+  for_bands([&](int begin, int end) {
+    FindRange(begin, end);
+    Explain(observation, begin, end);
+  });
 }
 
 }  // namespace trem

@@ -16,12 +16,14 @@ struct FrameResidual {
   Image<float> variance;
   Image<float> frames_seen;  // n.
 
-  // `buffer.prediction` is what the frame was registered to: the frame is not in it yet.
-  void Compute(const Observation& observation, const View& view, const SceneBuffer& buffer);
+  // `buffer.prediction` is what the frame was registered to: the frame is not in it yet. The result does not depend on `threads`.
+  void Compute(const Observation& observation, const View& view, const SceneBuffer& buffer, int threads = 1);
 
  private:
-  void Predict(const Observation& observation, const View& view, const SceneBuffer& buffer);
-  void Explain(const Observation& observation);
+  // Each works on rows [begin, end).
+  void Predict(const Observation& observation, const View& view, const SceneBuffer& buffer, int begin, int end);
+  void FindRange(int begin, int end);
+  void Explain(const Observation& observation, int begin, int end);
   Image<float> low_;  // Least and largest of three rows, with a column to either side.
   Image<float> high_;
   Image<float> ones_;

@@ -27,8 +27,9 @@ constexpr SeenLimits kSeenLimits{3.0F, 0.25F};
 // Keeps the step finite where nothing is known: no samples and no prior.
 constexpr float kCurvatureMin = 1e-6F;
 
-// Rows that are splatted, judged or predicted at a time.
+// Rows that are judged or predicted at a time, and that are splatted.
 constexpr int kBandRows = 32;
+constexpr int kSplatRows = 128;
 
 // Rows of which the columns are filtered at a time.
 constexpr int kSeenBlock = 16;
@@ -39,13 +40,17 @@ constexpr std::size_t kStepsPerSweep = 4;
 // narrow tiles that stay in the second-level cache: those recompute their neighbours' margins.
 constexpr int kTileWidth = 4096;
 
-// With several threads, tiles of a large region have this many rows.
-constexpr int kTileHeight = 384;
+// With several threads, tiles of a large region have up to this many rows; a region is cut when it is this part of the image.
+constexpr int kTileHeight = 1024;
+constexpr double kPartForTiles = 0.25;
 
-// `region` cut into equal tiles, enough of them for the threads.
-std::vector<Roi> Tiles(const Roi& region, int threads) {
+// `region` of an image of `image_cells` cells cut into equal tiles, as many for each of the threads.
+std::vector<Roi> Tiles(const Roi& region, int threads, double image_cells) {
   const int columns = (region.width() + kTileWidth - 1) / kTileWidth;
-  const int rows = threads > 1 ? std::max(std::max(region.height() / kTileHeight, std::min(threads, region.height() / kBandRows)), 1) : 1;
+  // Several tiles are written beside the image, and what is not theirs is copied: not worth it for a strip of it.
+  const bool parts = threads > 1 && static_cast<double>(region.area()) > kPartForTiles * image_cells;
+  const int per_thread = (region.height() + kTileHeight * threads - 1) / (kTileHeight * std::max(threads, 1));
+  const int rows = parts ? std::clamp(region.height() / kBandRows, 1, per_thread * threads) : 1;
   std::vector<Roi> tiles;
   for (int j = 0; j < rows; ++j) {
     for (int i = 0; i < columns; ++i) {
@@ -70,11 +75,20 @@ void CopyOutside(const Image<float>& from, const Roi& region, Image<float>* to) 
   }
 }
 
-// [begin, end) cut into bands of kBandRows.
-int BandCount(int begin, int end) { return std::max(end - begin + kBandRows - 1, 0) / kBandRows; }
+// [begin, end) cut into bands of `rows`.
+int BandCount(int begin, int end, int rows = kBandRows) { return std::max(end - begin + rows - 1, 0) / rows; }
 
-Roi Band(const Roi& roi, int index) {
-  return {roi.x0, roi.y0 + index * kBandRows, roi.x1, std::min(roi.y0 + (index + 1) * kBandRows, roi.y1)};
+Roi Band(const Roi& roi, int index, int rows = kBandRows) {
+  return {roi.x0, roi.y0 + index * rows, roi.x1, std::min(roi.y0 + (index + 1) * rows, roi.y1)};
+}
+
+// Whether no pixel of `row` (all `count` of them) can fall nearest to rows [begin, end): both ends lie on the same side.
+bool Misses(const SplatRow& row, int begin, int end, int count) {
+  const double far_depth = row.depth + count * row.d_depth;
+  if (!(row.depth > 0.0 && far_depth > 0.0)) return false;
+  const double near_y = row.y / row.depth;
+  const double far_y = (row.y + count * row.dy) / far_depth;
+  return std::max(near_y, far_y) < begin - 1.0 || std::min(near_y, far_y) > end + 1.0;
 }
 
 // The pixels of `row` (all `count` of them) that may fall nearest to rows [begin, end) of the buffer; begin is a multiple of 4.
@@ -113,8 +127,8 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
                          static_cast<float>(options_.huber_sigmas * observation.noise_sigma)};
   const SplatPlanes planes{&buffer->prediction, &buffer->seen, &buffer->weight, &buffer->weighted};
   // Each band of the scene's rows takes its samples from all of the frame, in the frame's order: no two bands write the same cell.
-  ForEachIndex(options_.threads, BandCount(whole.y0, whole.y1), [&](int index, int) {
-    const Roi band = Band(whole, index);
+  ForEachIndex(options_.threads, BandCount(whole.y0, whole.y1, kSplatRows), [&](int index, int) {
+    const Roi band = Band(whole, index, kSplatRows);
     if (options_.forgetting < 1.0) {
       const Roi faded = Intersect(band, inner);
       for (int y = faded.y0; y < faded.y1; ++y) {
@@ -132,6 +146,7 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
       row.y = first.y();
       row.dx = along.x();
       row.dy = along.y();
+      if (Misses(row, band.y0, band.y1, roi.width())) continue;
       LimitTo(band.y0, band.y1, roi.width(), &row);
       if (row.begin >= row.end) continue;
       row.pixels = observation.roi_pixels->row(v);
@@ -141,7 +156,14 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
   });
 }
 
-void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) const {
+InformationUpdate::Scratch& InformationUpdate::ScratchOf(int slot) { return scratch_[static_cast<std::size_t>(slot)]; }
+
+void InformationUpdate::FitScratch() {
+  const std::size_t threads = static_cast<std::size_t>(std::max(options_.threads, 1));
+  while (scratch_.size() < threads) scratch_.push_back({Blur(blur_.psf()), {}, {}});
+}
+
+void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
   if (inner.empty()) return;
   // Tents one sensor pixel wide to either side: the samples of one frame add up to 1 everywhere inside its ROI.
@@ -149,17 +171,24 @@ void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* bu
   for (int i = 0; i < ratio; ++i) tent_taps.push_back(static_cast<float>(ratio - i));
   const std::vector<float> near_taps(static_cast<std::size_t>(ratio / 2 + 1), 1.0F);
   const Image<float>& weight = buffer->weight;
-  ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1), [&](int index, int) {
+  // Beyond the buffer there are no samples.
+  const std::vector<float> nothing(static_cast<std::size_t>(weight.width()), 0.0F);
+  FitScratch();
+  ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1), [&](int index, int slot) {
     const Roi band = Band(inner, index);
-    Blur(blur_.psf()).ApplyAdjoint(weight, band, &buffer->majoriser);
-    // Beyond the buffer there are no samples.
-    const std::vector<float> nothing(static_cast<std::size_t>(weight.width()), 0.0F);
+    Scratch& scratch = ScratchOf(slot);
+    scratch.blur.ApplyAdjoint(weight, band, &buffer->majoriser);
     const int begin = std::max(band.x0 - ratio, 0);
     const int end = std::min(band.x1 + ratio, weight.width());
     const int stride = band.width() + 2 * ratio + kRowSlack;
-    std::vector<float> tents(static_cast<std::size_t>(stride) * kSeenBlock, 0.0F);
-    std::vector<float> near = tents;
     const int shift = ratio - band.x0;  // Column x of the buffer is at x + shift of a line.
+    std::vector<float>& tents = scratch.tents;
+    std::vector<float>& near = scratch.near;
+    for (std::vector<float>* lines : {&tents, &near}) {
+      lines->resize(static_cast<std::size_t>(stride) * kSeenBlock);
+      // What lies beyond the buffer is not written below.
+      if (begin + shift > 0 || end + shift < band.width() + 2 * ratio) std::fill(lines->begin(), lines->end(), 0.0F);
+    }
     std::vector<const float*> rows(static_cast<std::size_t>(2 * ratio - 2 + kSeenBlock));
     for (int first = band.y0; first < band.y1; first += kSeenBlock) {
       const int count = std::min(kSeenBlock, band.y1 - first);
@@ -195,10 +224,11 @@ void InformationUpdate::AddNegativePart(const Roi& inner, SceneBuffer* buffer) c
   }
 }
 
-void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) const {
+void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
+  FitScratch();
   ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1),
-               [&](int index, int) { Blur(blur_.psf()).Apply(buffer->scene, Band(inner, index), &buffer->prediction); });
+               [&](int index, int slot) { ScratchOf(slot).blur.Apply(buffer->scene, Band(inner, index), &buffer->prediction); });
 }
 
 float InformationUpdate::NextMomentum() {
@@ -226,7 +256,7 @@ void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lam
   weights.lambda = lambda;
   weights.limit = options_.prior.kind == StructurePriorKind::kHuberTv ? options_.prior.delta : std::numeric_limits<float>::max();
   weights.damping = lambda * StructurePrior::kCurvatureMax + kCurvatureMin;
-  const std::vector<Roi> tiles = Tiles(inner, options_.threads);
+  const std::vector<Roi> tiles = Tiles(inner, options_.threads, static_cast<double>(buffer->extent.area()));
   const bool in_place = tiles.size() == 1;
   if (!in_place) {
     FitSize(buffer->scene, &next_scene_);

@@ -38,18 +38,27 @@ class InformationUpdate {
   // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
   void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
   // Recomputes buffer->majoriser and buffer->seen on `region` (scene plane).
-  void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) const;
+  void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
   // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
   // last AddFrame.
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // buffer->prediction = B S on `region`.
-  void Predict(const Roi& region, SceneBuffer* buffer) const;
+  void Predict(const Roi& region, SceneBuffer* buffer);
   // Replaces the structure prior of the steps that follow.
   void set_prior(const StructurePrior& prior) { options_.prior = prior; }
   // Of the frames that follow; see InformationOptions.
   void set_forgetting(double forgetting) { options_.forgetting = forgetting; }
 
  private:
+  // Memory of one thread.
+  struct Scratch {
+    Blur blur;
+    std::vector<float> tents;
+    std::vector<float> near;
+  };
+
+  Scratch& ScratchOf(int slot);
+  void FitScratch();
   // Keeps the majoriser valid for a PSF whose separable terms leave a little negative mass n: with |B| = B + 2 N, N the negative part,
   // |B| 1 = 1 + 2 n and N' W <= 4 n max W (reflection folds up to four cells on one), so (1 + 2 n) (B' W + 8 n max W) bounds
   // |B|' W |B| 1. Nothing to do when n == 0.
@@ -63,6 +72,7 @@ class InformationUpdate {
   InformationOptions options_;
   int steps_ = 0;
   std::vector<UpdateSweep> sweeps_;  // One per thread.
+  std::vector<Scratch> scratch_;     // One per thread.
   Image<float> next_scene_;          // Where the tiles of a large region are written.
   Image<float> next_previous_;
   Image<float> extrapolated_;

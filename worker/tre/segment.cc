@@ -7,6 +7,7 @@
 
 #include "worker/sensor/bicubic.h"
 #include "worker/tre/brightness.h"
+#include "worker/tre/fill_unseen.h"
 #include "worker/tre/frame_check.h"
 #include "worker/tre/landweber_update.h"
 #include "worker/tre/pointwise_update.h"
@@ -49,9 +50,12 @@ InformationOptions UpdateOptions(const EngineOptions& options) {
 
 std::unique_ptr<UpdateScheme> MakeScheme(const Psf& psf, const EngineOptions& options, std::uint64_t segment_id) {
   switch (options.update) {
-    case UpdateMethod::kInformation: break;
-    case UpdateMethod::kLandweber: return std::make_unique<LandweberUpdate>(psf, LandweberOptions{.window = options.landweber_window});
-    case UpdateMethod::kPointwise: return std::make_unique<PointwiseUpdate>(psf, options.seed, segment_id);
+    case UpdateMethod::kInformation:
+      break;
+    case UpdateMethod::kLandweber:
+      return std::make_unique<LandweberUpdate>(psf, LandweberOptions{.window = options.landweber_window});
+    case UpdateMethod::kPointwise:
+      return std::make_unique<PointwiseUpdate>(psf, options.seed, segment_id);
   }
   return nullptr;
 }
@@ -74,6 +78,20 @@ Roi RoundedOut(const Roi& roi, int step) {
 }
 
 Roi Union(const Roi& a, const Roi& b) { return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)}; }
+
+bool Overlap(const Roi& a, const Roi& b) { return !Intersect(a, b).empty(); }
+
+// `now` without `before`, in rectangles that do not overlap.
+std::vector<Roi> Difference(const Roi& now, const Roi& before) {
+  const Roi shared = Intersect(now, before);
+  if (shared.empty()) return {now};
+  std::vector<Roi> rest;
+  for (const Roi& part : {Roi{now.x0, now.y0, now.x1, shared.y0}, Roi{now.x0, shared.y1, now.x1, now.y1},
+                          Roi{now.x0, shared.y0, shared.x0, shared.y1}, Roi{shared.x1, shared.y0, now.x1, shared.y1}}) {
+    if (!part.empty()) rest.push_back(part);
+  }
+  return rest;
+}
 
 // The strips of `now` that `before` did not hold, each at least 24 cells wide so that it holds the PSF's support.
 std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
@@ -112,7 +130,7 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       extent_(extent),
       margin_(psf.radius() + 3),
       update_(Blur(psf), UpdateOptions(options)),
-      regularisation_(psf, options.structure, options.ratio, options.learn_weight),
+      regularisation_(psf, options.structure, options.ratio, options.learn_weight, options.threads),
       scheme_(MakeScheme(psf, options, segment_id)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
       draws_blur_(psf),
@@ -135,34 +153,6 @@ Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
   }
   return {static_cast<int>(std::floor(low.x())) - margin_, static_cast<int>(std::floor(low.y())) - margin_,
           static_cast<int>(std::ceil(high.x())) + margin_ + 1, static_cast<int>(std::ceil(high.y())) + margin_ + 1};
-}
-
-void Segment::FillUnseen(const FrameInput& frame, const View& view, const Roi& region) {
-  const PlanarMap sensor_from_scene = view.scene_from_sensor.Inverse();
-  const Roi roi = RoiOf(frame);
-  const Roi inner = buffer_.InBuffer(region);
-  continued_ = frame.pixels;
-  const bool holes = ContinueHoles(&continued_);
-  const double x_max = frame.pixels.width() - 2.001;
-  const double y_max = frame.pixels.height() - 2.001;
-  for (int y = inner.y0; y < inner.y1; ++y) {
-    for (int x = inner.x0; x < inner.x1; ++x) {
-      if (buffer_.filled.at(x, y) == SceneBuffer::kMeasured) continue;
-      const Eigen::Vector2d sensor = sensor_from_scene * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);
-      const double u = std::clamp(sensor.x() - roi.x0, 1.0, x_max);
-      const double v = std::clamp(sensor.y() - roi.y0, 1.0, y_max);
-      bool inside = std::abs(sensor.x() - roi.x0 - u) <= 1.5 && std::abs(sensor.y() - roi.y0 - v) <= 1.5;
-      if (holes) inside = inside && !std::isnan(frame.pixels.at(static_cast<int>(u + 0.5), static_cast<int>(v + 0.5)));
-      const float source = inside ? SceneBuffer::kMeasured : SceneBuffer::kContinued;
-      if (buffer_.filled.at(x, y) == source) continue;
-      const float sample = SampleCubic(continued_, u, v);
-      if (std::isnan(sample)) continue;
-      buffer_.filled.at(x, y) = source;
-      const float value = (sample - static_cast<float>(view.offset)) / static_cast<float>(view.gain);
-      buffer_.scene.at(x, y) = value;
-      buffer_.previous.at(x, y) = value;
-    }
-  }
 }
 
 void Segment::Iterate(const Roi& region, int iterations, StructureWeight weight) {
@@ -207,7 +197,7 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
   const Image<float>* const own = frame.weights.empty() ? nullptr : &frame.weights;
   const bool mask_movers = options_.mover_mask == Correction::kOn;
   if (!mask_movers && options_.detector_bias == Correction::kOff) return own;
-  residual_.Compute(ObservationOf(frame, roi_, noise_sigma), view_, buffer_);
+  residual_.Compute(ObservationOf(frame, roi_, noise_sigma), view_, buffer_, options_.threads);
   if (!mask_movers) return own;
   movers_.Judge(residual_, view_, roi_, noise_sigma);
   for (const MoverMask::Block& block : movers_.outvoted()) {
@@ -239,18 +229,31 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
   return &weights_;
 }
 
+Roi Segment::FillNew(const FrameInput& frame, const View& view, const Roi& region) {
+  const Roi in_buffer = FillUnseen(frame, RoiOf(frame), view, region, &buffer_, &continued_);
+  const Roi& e = buffer_.extent;
+  const Roi filled = {in_buffer.x0 + e.x0, in_buffer.y0 + e.y0, in_buffer.x1 + e.x0, in_buffer.y1 + e.y0};
+  // The last iteration left the prediction of what it moved; around it the scene's blur has changed, too.
+  for (const Roi& part : Difference(region, last_region_)) update_.Predict(part, &buffer_);
+  if (in_buffer.empty()) return {};
+  const int reach = margin_;
+  update_.Predict(Intersect(region, {filled.x0 - reach, filled.y0 - reach, filled.x1 + reach, filled.y1 + reach}), &buffer_);
+  return filled;
+}
+
 void Segment::Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations) {
   const Roi region = RegionOf(view);
   regularisation_.Learn(observation, view);
-  FillUnseen(frame, view, region);
-  update_.Predict(region, &buffer_);
+  const Roi filled = FillNew(frame, view, region);
   update_.set_forgetting(Forgetting());
   update_.AddFrame(observation, view, region, &buffer_);
   if (scheme_ != nullptr) scheme_->AddFrame(frame.frame_index, observation, view);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
   const StructureWeight weight = regularisation_.Weight(region, buffer_, observation.noise_sigma);
   if (frame_count_ > 0) {
-    for (const Roi& strip : NewGround(last_region_, region)) Iterate(strip, kNewGroundIterations, weight);
+    for (const Roi& strip : NewGround(last_region_, region)) {
+      if (Overlap(strip, filled)) Iterate(strip, kNewGroundIterations, weight);
+    }
   }
   Iterate(region, iterations, weight);
   // The first frame is fitted by a scene of its own.
@@ -283,7 +286,8 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   ViewPrior prior;
   prior.mean = view_;
   prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kMotionSigmaPx * kMotionSigmaPx);
-  scene_covariance_ = EvaluateView(ObservationOf(frame, RoiOf(frame), noise_sigma), ReferenceNow(SeenMin()), prior, view_).corner_covariance;
+  scene_covariance_ =
+      EvaluateView(ObservationOf(frame, RoiOf(frame), noise_sigma), ReferenceNow(SeenMin()), prior, view_).corner_covariance;
   // A target's frames have ROIs of their own and all lie on its first one; a scheme that keeps frames revisits them itself.
   const bool revisits = scheme_ == nullptr || scheme_->remembers();
   if (extent_ == Extent::kMoves && revisits) early_.emplace_back(frame, registration);
@@ -354,6 +358,7 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   request.motion_px_max = expectation.motion_px_max;
   request.method = options_.registration;
   request.gain_offset = options_.gain_offset;
+  request.threads = options_.threads;
   request.stream[0] = options_.seed;
   request.stream[1] = segment_id_;
   request.stream[2] = static_cast<std::uint64_t>(frame.frame_index);

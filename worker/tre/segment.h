@@ -96,9 +96,9 @@ class Segment {
   void Revisit(double noise_sigma);
   // Frames that must have seen a cell for frames to be registered to it.
   float SeenMin() const;
-  // Gives cells of `region` their first value: this frame's bicubic one, continued beyond the ROI's border until a frame measures there.
-  // Never again after that: cells at the border that are reset with every frame would force overshoot on their neighbours.
-  void FillUnseen(const FrameInput& frame, const View& view, const Roi& region);
+  // Gives cells of `region` that no frame has measured yet their first value and makes the prediction on `region`; the rectangle that holds
+  // these cells (empty: none).
+  Roi FillNew(const FrameInput& frame, const View& view, const Roi& region);
   void Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations);
   // Judges what the frame leaves of the prediction; the frame's weights without what moves (null: all 1), and ground that showed a mover
   // is made free to be made anew.
@@ -122,25 +122,25 @@ class Segment {
   AutomaticRegularisation regularisation_;
   std::unique_ptr<UpdateScheme> scheme_;  // Null: the information update.
   SceneBuffer buffer_;
-  Image<float> continued_;       // The frame with its holes continued.
+  Image<float> continued_;  // The frame with its holes continued.
   Blur draws_blur_;
-  ResidualMap residuals_;        // Not kept up without EngineOptions::uncertainty.
-  View view_;                    // Of the last registered frame.
-  PlanarMap previous_from_current_; // Last measured motion, in sensor pixels.
-  PlanarMap lost_from_current_;     // Motion of frames skipped since then.
-  CornerMatrix covariance_;          // Of view_, without the scene's, 6 x 6 or 8 x 8.
-  CornerMatrix scene_covariance_;    // Of the scene's place on its plane: S above.
-  CornerMatrix velocity_covariance_; // Of previous_from_current_, as a corner displacement a frame.
-  Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();  // Slow mean of the ROI's motion over the ground, sensor px a frame.
+  ResidualMap residuals_;                                   // Not kept up without EngineOptions::uncertainty.
+  View view_;                                               // Of the last registered frame.
+  PlanarMap previous_from_current_;                         // Last measured motion, in sensor pixels.
+  PlanarMap lost_from_current_;                             // Motion of frames skipped since then.
+  CornerMatrix covariance_;                                 // Of view_, without the scene's, 6 x 6 or 8 x 8.
+  CornerMatrix scene_covariance_;                           // Of the scene's place on its plane: S above.
+  CornerMatrix velocity_covariance_;                        // Of previous_from_current_, as a corner displacement a frame.
+  Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();   // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.
   std::vector<ChainEntry> revised_;
-  Roi last_region_;              // Footprint of the last frame.
+  Roi last_region_;  // Footprint of the last frame: where the prediction is that of the present scene.
   int frame_count_ = 0;
   int skipped_ = 0;
   FrameResidual residual_;
   MoverMask movers_;
-  Image<float> weights_;         // Of the frame, without what moves.
-  long long masked_ = 0;         // Pixels so far.
+  Image<float> weights_;  // Of the frame, without what moves.
+  long long masked_ = 0;  // Pixels so far.
   bool has_emitted_ = false;
   int first_unemitted_ = 0;
   int first_frame_ = 0;

@@ -66,6 +66,56 @@ void ScaleRowTarget(float factor, int count, float* row) {
   }
 }
 
+int FindUnlikeTarget(const float* row, float value, int count) {
+  const hn::ScalableTag<float> d;
+  const std::size_t end = static_cast<std::size_t>(count);
+  const auto wanted = hn::Set(d, value);
+  std::size_t x = 0;
+  for (; x + hn::Lanes(d) <= end; x += hn::Lanes(d)) {
+    const std::ptrdiff_t lane = hn::FindFirstTrue(d, hn::Ne(hn::LoadU(d, row + x), wanted));
+    if (lane >= 0) return static_cast<int>(x) + static_cast<int>(lane);
+  }
+  for (; x < end; ++x) {
+    if (row[x] != value) return static_cast<int>(x);
+  }
+  return count;
+}
+
+TextureSums SumTextureTarget(const float* row, const float* below, const float* seen, float seen_min, int count) {
+  constexpr std::size_t kLanes = 8;
+  const hn::CappedTag<float, kLanes> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t end = static_cast<std::size_t>(count);
+  const V least = hn::Set(d, seen_min);
+  HWY_ALIGN float lanes[4][kLanes];
+  for (std::size_t group = 0; group < kLanes; group += hn::Lanes(d)) {
+    V size = hn::Zero(d);
+    V squares = size;
+    V frames = size;
+    V cells = size;
+    for (std::size_t x = group; x < end; x += kLanes) {
+      const V n = LoadUpTo(d, seen + x, end - x);
+      const auto used = hn::Ge(n, least);
+      const V centre = LoadUpTo(d, row + x, end - x);
+      const V across = hn::IfThenElseZero(used, hn::Sub(LoadUpTo(d, row + x + 1, end - x), centre));
+      const V down = hn::IfThenElseZero(used, hn::Sub(LoadUpTo(d, below + x, end - x), centre));
+      size = hn::Add(size, hn::Add(hn::Abs(across), hn::Abs(down)));
+      squares = hn::Add(squares, hn::Add(hn::Mul(across, across), hn::Mul(down, down)));
+      frames = hn::Add(frames, hn::IfThenElseZero(used, n));
+      cells = hn::Add(cells, hn::IfThenElseZero(used, hn::Set(d, 1.0F)));
+    }
+    hn::StoreU(size, d, lanes[0] + group);
+    hn::StoreU(squares, d, lanes[1] + group);
+    hn::StoreU(frames, d, lanes[2] + group);
+    hn::StoreU(cells, d, lanes[3] + group);
+  }
+  double total[4] = {};
+  for (int k = 0; k < 4; ++k) {
+    for (const float lane : lanes[k]) total[k] += static_cast<double>(lane);
+  }
+  return {total[0], total[1], total[2], total[3]};
+}
+
 void SeenRowTarget(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen) {
   const hn::ScalableTag<float> d;
   using V = hn::Vec<decltype(d)>;
@@ -96,6 +146,8 @@ HWY_EXPORT(ExtrapolateRowTarget);
 HWY_EXPORT(ResidualRowTarget);
 HWY_EXPORT(StepIntoTarget);
 HWY_EXPORT(ScaleRowTarget);
+HWY_EXPORT(FindUnlikeTarget);
+HWY_EXPORT(SumTextureTarget);
 HWY_EXPORT(SeenRowTarget);
 
 void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line) {
@@ -111,6 +163,12 @@ void StepInto(const StepRow& row, const float* taps, int radius, const StepWeigh
 }
 
 void ScaleRow(float factor, int count, float* row) { HWY_DYNAMIC_DISPATCH(ScaleRowTarget)(factor, count, row); }
+
+int FindUnlike(const float* row, float value, int count) { return HWY_DYNAMIC_DISPATCH(FindUnlikeTarget)(row, value, count); }
+
+TextureSums SumTexture(const float* row, const float* below, const float* seen, float seen_min, int count) {
+  return HWY_DYNAMIC_DISPATCH(SumTextureTarget)(row, below, seen, seen_min, count);
+}
 
 void SeenRow(const float* tents, const float* near, int ratio, const SeenLimits& limits, int count, float* seen) {
   HWY_DYNAMIC_DISPATCH(SeenRowTarget)(tents, near, ratio, limits, count, seen);

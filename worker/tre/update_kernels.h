@@ -36,6 +36,20 @@ void StepInto(const StepRow& row, const float* taps, int radius, const StepWeigh
 // row[x] *= factor; a row of an image.
 void ScaleRow(float factor, int count, float* row);
 
+// Index of the first of row[0 .. count) that is not `value`; `count` when there is none. A row of an image.
+int FindUnlike(const float* row, float value, int count);
+
+// Sums over the cells of a row that enough frames have seen.
+struct TextureSums {
+  double size = 0.0;     // Of |right neighbour - cell| + |cell below - cell|.
+  double squares = 0.0;  // Of the squares of both.
+  double seen = 0.0;     // Of the frames that have seen the cell.
+  double count = 0.0;    // Of these cells.
+};
+// Over cells [0, count), reading row[0 .. count]; cells with seen < seen_min are left out. Eight lanes on every processor: the bytes do not
+// depend on it.
+TextureSums SumTexture(const float* row, const float* below, const float* seen, float seen_min, int count);
+
 // How InformationUpdate::UpdateSeen judges cells.
 struct SeenLimits {
   float many_frames = 0.0F;    // Cells with at least this weight about them ...

@@ -278,7 +278,7 @@ TEST(InformationUpdate, TheSweepIsTheIterationInPassesWithinRounding) {
 }
 
 TEST(InformationUpdate, SeenIsTheTentsSumUnlessTheSamplesAreFar) {
-  const InformationUpdate update(Blur(Psf()), {});
+  InformationUpdate update(Blur(Psf()), {});
   SceneBuffer buffer(kPlane);
   Rng rng({97});
   for (float& cell : buffer.weight.pixels()) cell = rng.Uniform() < 0.3 ? static_cast<float>(12.0 * rng.Uniform()) : 0.0F;
