@@ -56,7 +56,8 @@ class ElevationFile {
     file.map_from_geographic_.reset(OGRCreateCoordinateTransformation(&geographic, &own));
     file.geographic_from_map_.reset(OGRCreateCoordinateTransformation(&own, &geographic));
     if (file.map_from_geographic_ == nullptr || file.geographic_from_map_ == nullptr) {
-      return InvalidInput("elevation model " + file.path_ + ": its coordinate system has no known relation to WGS 84 (" + errors.Text() + ")");
+      return InvalidInput("elevation model " + file.path_ + ": its coordinate system has no known relation to WGS 84 (" + errors.Text() +
+                          ")");
     }
     file.map_from_pixel_ = geotransform;
     return file;
@@ -158,8 +159,8 @@ Result<GriddedGround> ReadElevationModel(const std::filesystem::path& path, cons
   TREM_CHECK(bounds.west_deg < bounds.east_deg && bounds.south_deg < bounds.north_deg && nodes_max >= 2);
   TREM_ASSIGN_OR_RETURN(const ElevationFile file, ElevationFile::Open(path));
   const auto not_covered = [&] {
-    return InvalidInput("elevation model " + file.path() + ": covers " + file.Coverage() + " and has no elevation within " + Describe(bounds) +
-                        ", where the sortie looks; expected a raster of that area");
+    return InvalidInput("elevation model " + file.path() + ": covers " + file.Coverage() + " and has no elevation within " +
+                        Describe(bounds) + ", where the sortie looks; expected a raster of that area");
   };
   const PixelWindow window = WindowOf(file, bounds);
   if (window.x1 - window.x0 < 2 || window.y1 - window.y0 < 2) return not_covered();

@@ -148,9 +148,21 @@ std::string StatesText(const SortieReport& report) {
   return text;
 }
 
+const char* SourceName(v1::TelemetrySource source) {
+  switch (source) {
+    case v1::TELEMETRY_CSV:
+      return "csv";
+    case v1::TELEMETRY_KLV:
+      return "klv";
+    default:
+      return "none";
+  }
+}
+
 std::string TelemetryText(const v1::SortieManifest& manifest, const SortieReport& report) {
-  if (manifest.telemetry_source() != v1::TELEMETRY_CSV) return "none; the mosaic will lie in local coordinates";
+  if (manifest.telemetry_source() == v1::TELEMETRY_NONE) return "none; the mosaic will lie in local coordinates";
   std::string text = manifest.telemetry_path();
+  if (manifest.telemetry_source() == v1::TELEMETRY_KLV) text += ", KLV";
   if (report.posed_count > 0) text += fmt::format(", camera poses for {} of {} frames", report.posed_count, report.frame_count);
   if (report.cornered_count > 0) text += fmt::format(", image corners for {} of {} frames", report.cornered_count, report.frame_count);
   if (report.posed_count > 0) text += " (yaw from true north, pitch -90 looks down, WGS 84)";
@@ -265,7 +277,9 @@ std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieR
       {"motion_max_px", report.motion_max_px},
       {"links", report.link_count},
       {"failed_links", report.failed_link_count},
-      {"telemetry", manifest.telemetry_source() == v1::TELEMETRY_CSV ? manifest.telemetry_path() : ""},
+      {"telemetry", manifest.telemetry_path()},
+      {"telemetry_source", SourceName(manifest.telemetry_source())},
+      {"telemetry_summary", manifest.telemetry_summary()},
       {"poses", report.posed_count},
       {"corners", report.cornered_count},
       {"ground_elevation_m", manifest.ground_elevation_m()}};

@@ -18,7 +18,7 @@
 #include "worker/sortie/frame_statistics.h"
 #include "worker/sortie/pixel_mask.h"
 #include "worker/sortie/spans.h"
-#include "worker/sortie/telemetry_match.h"
+#include "worker/sortie/telemetry_sources.h"
 
 namespace trem {
 namespace {
@@ -43,14 +43,11 @@ class Ingest {
   Ingest(const v1::Sortie& sortie, const std::function<bool(double)>& progress) : sortie_(sortie), progress_(progress) {}
 
   Result<v1::SortieManifest> Run() {
-    // Telemetry first: a bad file should be reported before an hour of decoding.
-    const std::optional<std::string> telemetry_path = FindTelemetryCsv(sortie_);
-    TelemetryTable telemetry;
-    if (telemetry_path.has_value()) {
-      TREM_ASSIGN_OR_RETURN(telemetry, ReadTelemetryCsv(*telemetry_path));
-    }
     TREM_ASSIGN_OR_RETURN(source_, OpenFrameSource(sortie_));
     StartManifest();
+    // Telemetry first: a bad file should be reported before an hour of decoding.
+    TREM_ASSIGN_OR_RETURN(const FoundTelemetry telemetry,
+                          FindTelemetry(sortie_, static_cast<double>(source_->width_px()) / source_->height_px()));
     TREM_ASSIGN_OR_RETURN(mask_, ReadPixelMask(sortie_.sensor(), source_->width_px(), source_->height_px()));
     if (mask_.has_value()) filler_.emplace(*mask_);
     TREM_RETURN_IF_ERROR(ReadFrames());
@@ -58,14 +55,7 @@ class Ingest {
     FinishPixels();
     TREM_RETURN_IF_ERROR(CheckSeeking());
     for (const v1::Note& note : source_->notes()) *manifest_.add_notes() = note;
-    if (telemetry_path.has_value()) {
-      TREM_RETURN_IF_ERROR(AttachTelemetry(telemetry, *telemetry_path, sortie_.telemetry(), &manifest_));
-    } else {
-      manifest_.set_ground_elevation_m(sortie_.telemetry().ground_elevation_m());
-      Note(v1::INFO, "no_telemetry", sortie_.source().path(),
-           sortie_.telemetry().ignore() ? "telemetry is ignored as asked for; the mosaic will be in local coordinates"
-                                        : "no telemetry was found; the mosaic will be in local coordinates");
-    }
+    TREM_RETURN_IF_ERROR(AttachFoundTelemetry(telemetry, sortie_, &manifest_));
     SplitIntoSpans(&manifest_);
     return std::move(manifest_);
   }

@@ -47,7 +47,8 @@ TEST(GroundSurface, RaysMeetASlopeWhereTheClosedFormSays) {
   const GriddedGround ground = Grid([](double x, double y) { return 30.0 + 0.2 * x + 0.1 * y; });
   const Eigen::Vector3d position(-20.0, 40.0, 500.0);
   const Eigen::Vector3d normal(-0.2, -0.1, 1.0);
-  for (const Eigen::Vector3d& direction : {Eigen::Vector3d(0.0, 0.0, -1.0), Eigen::Vector3d(0.3, -0.4, -2.0), Eigen::Vector3d(-1.0, 1.0, -9.0)}) {
+  for (const Eigen::Vector3d& direction :
+       {Eigen::Vector3d(0.0, 0.0, -1.0), Eigen::Vector3d(0.3, -0.4, -2.0), Eigen::Vector3d(-1.0, 1.0, -9.0)}) {
     const auto x = IntersectSurface(position, direction, ground);
     ASSERT_TRUE(x.has_value());
     const double s = (30.0 - normal.dot(position)) / normal.dot(direction);
