@@ -15,6 +15,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <vector>
 
 #include "mosaic/base/artefact_store.h"
@@ -62,6 +63,7 @@ struct Arguments {
   std::optional<int> reference;
   std::vector<std::string> overrides;
   std::string output;
+  int threads = 0;  // 0: all cores.
   bool track = false;
   bool json = false;
   bool quiet = false;
@@ -194,12 +196,15 @@ Result<v1::Sortie> LoadWhatIsNeeded(const Arguments& arguments) {
   return sortie;
 }
 
-Result<v1::TaskResult> RunWithProgress(const std::string& label, bool quiet, const ArtefactStore& store, const v1::TaskSpec& spec) {
-  ProgressBar bar(label, quiet);
-  return RunTask(spec, {&store, [&bar](double fraction) {
-                          bar.Show(fraction);
-                          return !stop_requested;
-                        }});
+Result<v1::TaskResult> RunWithProgress(const std::string& label, const Arguments& arguments, const ArtefactStore& store,
+                                       const v1::TaskSpec& spec) {
+  ProgressBar bar(label, arguments.quiet);
+  TaskContext context{&store, [&bar](double fraction) {
+                        bar.Show(fraction);
+                        return !stop_requested;
+                      }};
+  context.threads = arguments.threads > 0 ? arguments.threads : std::max(static_cast<int>(std::thread::hardware_concurrency()), 1);
+  return RunTask(spec, context);
 }
 
 Result<Roi> ChooseRoi(const Arguments& arguments, const v1::Sortie& sortie, const v1::SortieManifest& manifest) {
@@ -282,7 +287,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   TREM_ASSIGN_OR_RETURN(const ScratchFolder scratch, ScratchFolder::Make());
   TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(scratch.path()));
 
-  TREM_ASSIGN_OR_RETURN(const v1::TaskResult ingested, RunWithProgress("reading", arguments.quiet, store, ingest));
+  TREM_ASSIGN_OR_RETURN(const v1::TaskResult ingested, RunWithProgress("reading", arguments, store, ingest));
   TREM_CHECK(ingested.outputs_size() == 1);
   v1::SortieManifest manifest;
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, ingested.outputs(0), &manifest));
@@ -291,7 +296,8 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   outcome.target = arguments.track;
   std::vector<std::string> notes;
   for (const v1::Note& note : manifest.notes()) {
-    if (note.severity() == v1::WARNING || note.code() == "resolution_ceiling" || note.code() == "psf_estimate") notes.push_back(note.message());
+    if (note.severity() == v1::WARNING || note.code() == "resolution_ceiling" || note.code() == "psf_estimate")
+      notes.push_back(note.message());
   }
   TREM_ASSIGN_OR_RETURN(outcome.roi, ChooseRoi(arguments, ingest.sortie(), manifest));
   TREM_ASSIGN_OR_RETURN(outcome.frames, ChooseFrames(arguments, outcome.roi, manifest, &notes));
@@ -310,7 +316,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
     TREM_ASSIGN_OR_RETURN(reference, ChooseTargetFrame(arguments, outcome.frames, manifest));
     enhance.mutable_enhance()->set_target_picked_in_frame(static_cast<std::uint32_t>(*reference));
   }
-  TREM_ASSIGN_OR_RETURN(const v1::TaskResult enhanced, RunWithProgress("enhancing", arguments.quiet, store, enhance));
+  TREM_ASSIGN_OR_RETURN(const v1::TaskResult enhanced, RunWithProgress("enhancing", arguments, store, enhance));
   TREM_CHECK(enhanced.outputs_size() >= 1);
   for (const v1::Note& note : enhanced.notes()) notes.push_back(note.message());
   v1::WindowResult window;
@@ -351,12 +357,12 @@ void PrintSummary(const Outcome& outcome) {
 void Declare(CLI::App* app, Arguments* arguments) {
   app->add_option("SORTIE", arguments->sortie, "A video, a folder or glob of images, or a spec (.textproto, .json)")->required();
   app->add_option("-o,--output", arguments->output, "The scene to write, *.tif; its siblings go beside it")->required();
-  CLI::Option* const roi =
-      app->add_option_function<std::string>(
-             "--roi", [arguments](const std::string& text) { SetRoi(text, arguments); },
-             "x,y,width,height in sensor pixels: fixed in the sensor, or with --track a target in the reference frame. Default: the image's "
-             "centre, windows.roi_px a side")
-          ->type_name("X,Y,W,H");
+  CLI::Option* const roi = app->add_option_function<std::string>(
+                                  "--roi", [arguments](const std::string& text) { SetRoi(text, arguments); },
+                                  "x,y,width,height in sensor pixels: fixed in the sensor, or with --track a target in the reference "
+                                  "frame. Default: the image's "
+                                  "centre, windows.roi_px a side")
+                               ->type_name("X,Y,W,H");
   app->add_flag("--track", arguments->track,
                 "Follow the target that --roi frames in the reference frame, forwards and backwards, and pile all frames up on it")
       ->needs(roi);
@@ -364,13 +370,18 @@ void Declare(CLI::App* app, Arguments* arguments) {
          "--frames", [arguments](const std::string& text) { SetFrames(text, arguments); },
          "first:end, counted from 0, end not included. Default: all up to the first cut or gap")
       ->type_name("A:B");
-  app->add_option("--reference", arguments->reference, "Index of the frame whose pixels the scene is related to. Default: the last one; with --track, the "
+  app->add_option("--reference", arguments->reference,
+                  "Index of the frame whose pixels the scene is related to. Default: the last one; with --track, the "
                   "frame in which the target was picked, by default the first one")
       ->check(CLI::Range(0, kNumberMax))
       ->type_name("N");
   app->add_option("--set", arguments->overrides, "Change a field of the spec, for example tre.ratio=2; may be repeated")
       ->type_name("FIELD=VALUE")
       ->allow_extra_args(false);
+  app->add_option("--threads", arguments->threads, "Threads that enhance; 0: one for each core. The result is the same for any number")
+      ->capture_default_str()
+      ->check(CLI::Range(0, 1024))
+      ->type_name("N");
   app->add_flag("--json", arguments->json, "Print one JSON object on stdout at the end");
   app->add_flag("-q,--quiet", arguments->quiet, "No progress and no summary; warnings and errors stay");
   app->footer(kExamples);
@@ -380,7 +391,8 @@ void Declare(CLI::App* app, Arguments* arguments) {
 
 int RunEnhanceCommand(int argc, char** argv) {
   Arguments arguments;
-  CLI::App app("Enhances the resolution of one ROI from many frames: fixed in the sensor, or following a target (--track).", "trem enhance");
+  CLI::App app("Enhances the resolution of one ROI from many frames: fixed in the sensor, or following a target (--track).",
+               "trem enhance");
   Declare(&app, &arguments);
   try {
     app.parse(argc, argv);

@@ -69,7 +69,8 @@ void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
   ToProto(registration.view.scene_from_sensor, view->mutable_scene_from_sensor());
   const Eigen::Index parameters = registration.corner_covariance.rows();
   for (Eigen::Index row = 0; row < parameters; ++row) {
-    for (Eigen::Index column = row; column < parameters; ++column) view->add_corner_covariance_px2(registration.corner_covariance(row, column));
+    for (Eigen::Index column = row; column < parameters; ++column)
+      view->add_corner_covariance_px2(registration.corner_covariance(row, column));
   }
   view->set_gain(registration.view.gain);
   view->set_offset(registration.view.offset);
@@ -84,10 +85,14 @@ void AddChainView(const ChainEntry& entry, v1::Segment* segment) {
 
 v1::OutcomeCode CodeOf(FrameReport::Outcome outcome) {
   switch (outcome) {
-    case FrameReport::Outcome::kRegistered: return v1::REGISTERED;
-    case FrameReport::Outcome::kStartedScene: return v1::STARTED_SCENE;
-    case FrameReport::Outcome::kSkipped: return v1::SKIPPED;
-    case FrameReport::Outcome::kLost: break;
+    case FrameReport::Outcome::kRegistered:
+      return v1::REGISTERED;
+    case FrameReport::Outcome::kStartedScene:
+      return v1::STARTED_SCENE;
+    case FrameReport::Outcome::kSkipped:
+      return v1::SKIPPED;
+    case FrameReport::Outcome::kLost:
+      break;
   }
   return v1::LOST;
 }
@@ -148,20 +153,21 @@ void AddNotes(const v1::EnhanceParams& params, const v1::SortieManifest& manifes
     note->set_code(found.code);
     const std::string window = "window " + std::to_string(params.window_id());
     note->set_subject(found.frame_index < 0 ? window : "frame " + manifest.frames(found.frame_index).name());
-    note->set_message(found.frame_index < 0 ? window + ": " + found.text : "frame " + std::to_string(found.frame_index) + ", " + window + ": " + found.text);
+    note->set_message(found.frame_index < 0 ? window + ": " + found.text
+                                            : "frame " + std::to_string(found.frame_index) + ", " + window + ": " + found.text);
     note->set_severity(v1::INFO);
   }
 }
 
-Result<EngineResult> MapWindow(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest, const EngineOptions& options,
-                               const SnapshotSink& sink, const TaskContext& context) {
+Result<EngineResult> MapWindow(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest,
+                               const EngineOptions& options, const SnapshotSink& sink, const TaskContext& context) {
   TREM_ASSIGN_OR_RETURN(const std::vector<FrameInput> frames, ReadFrames(params, sensor, manifest, context));
   const auto progress = [&](double fraction) { return context.progress(kReadingPart + (1.0 - kReadingPart) * fraction); };
   return RunMapping(FromProto(params.roi_in_sensor()), frames, options, sink, progress);
 }
 
-Result<EngineResult> FollowTarget(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest, const EngineOptions& options,
-                                  const SnapshotSink& sink, const TaskContext& context) {
+Result<EngineResult> FollowTarget(const v1::EnhanceParams& params, const v1::Sensor& sensor, const v1::SortieManifest& manifest,
+                                  const EngineOptions& options, const SnapshotSink& sink, const TaskContext& context) {
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest));
   TREM_ASSIGN_OR_RETURN(const PixelUse pixel_use, PixelUse::Of(sensor, manifest));
   TargetFrameReader frames(manifest, static_cast<int>(params.frame_begin()), pixel_use, reader.get());
@@ -171,7 +177,8 @@ Result<EngineResult> FollowTarget(const v1::EnhanceParams& params, const v1::Sen
   request.frame_begin = static_cast<int>(params.frame_begin());
   request.frame_end = static_cast<int>(params.frame_end());
   request.sensor = {0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
-  return RunTarget(request, [&frames](int index) { return frames.Read(index); }, options, sink, context.progress);
+  return RunTarget(
+      request, [&frames](int index) { return frames.Read(index); }, options, sink, context.progress);
 }
 
 }  // namespace
@@ -186,6 +193,7 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   const SnapshotSink sink = [&](int segment_id, const SceneSnapshot& snapshot) { return writer.Write(segment_id, snapshot); };
   EngineOptions options = EngineOptionsOf(spec, manifest);
   options.uncertainty = spec.enhance().uncertainty();
+  options.threads = context.threads;
   const v1::Sensor& sensor = spec.sortie().sensor();
   Result<EngineResult> engine = spec.enhance().has_target_picked_in_frame()
                                     ? FollowTarget(spec.enhance(), sensor, manifest, options, sink, context)
@@ -193,7 +201,8 @@ Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContex
   if (!engine.ok()) return engine.status().WithPrefix("window " + std::to_string(spec.enhance().window_id()));
 
   v1::TaskResult result;
-  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef window_ref, PutProtoArtefact(*context.store, "window.pb", MakeWindow(spec.enhance(), *engine, writer)));
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef window_ref,
+                        PutProtoArtefact(*context.store, "window.pb", MakeWindow(spec.enhance(), *engine, writer)));
   *result.add_outputs() = window_ref;
   AddNotes(spec.enhance(), manifest, *engine, &result);
   for (const auto& [segment_id, scene] : writer.scenes()) *result.add_outputs() = scene.raster();

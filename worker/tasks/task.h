@@ -14,6 +14,8 @@ struct TaskContext {
   // Called often (at least once a second of work) with the fraction done, 0..1; renews the lease. False: stop soon and return
   // Cancelled.
   std::function<bool(double fraction)> progress;
+  // That an ENHANCE task may use; the result does not depend on it. A worker is one compute slot, so that it has one.
+  int threads = 1;
 };
 
 // Every task is a pure function of its spec and input artefacts: the same key gives the same output bytes.

@@ -46,6 +46,7 @@ class InformationUpdate {
   void Predict(const Roi& region, SceneBuffer* buffer);
   // Replaces the structure prior of the steps that follow.
   void set_prior(const StructurePrior& prior) { options_.prior = prior; }
+  const Psf& psf() const { return blur_.psf(); }
   // Of the frames that follow; see InformationOptions.
   void set_forgetting(double forgetting) { options_.forgetting = forgetting; }
 

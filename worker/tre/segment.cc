@@ -133,7 +133,6 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       regularisation_(psf, options.structure, options.ratio, options.learn_weight, options.threads),
       scheme_(MakeScheme(psf, options, segment_id)),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
-      draws_blur_(psf),
       residuals_(buffer_.extent),
       movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);

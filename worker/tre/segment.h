@@ -122,8 +122,7 @@ class Segment {
   AutomaticRegularisation regularisation_;
   std::unique_ptr<UpdateScheme> scheme_;  // Null: the information update.
   SceneBuffer buffer_;
-  Image<float> continued_;  // The frame with its holes continued.
-  Blur draws_blur_;
+  Image<float> continued_;                                  // The frame with its holes continued.
   ResidualMap residuals_;                                   // Not kept up without EngineOptions::uncertainty.
   View view_;                                               // Of the last registered frame.
   PlanarMap previous_from_current_;                         // Last measured motion, in sensor pixels.

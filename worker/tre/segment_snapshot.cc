@@ -42,11 +42,12 @@ Status Segment::EmitSnapshot(double noise_sigma, const Emit& emit) {
 void Segment::AddUncertainty(double noise_sigma, SceneSnapshot* snapshot) {
   UncertaintyOptions options;
   options.seed = options_.seed ^ (segment_id_ << 32U);
+  options.threads = options_.threads;
   snapshot->residual = residuals_.Rms(options_.ratio);
   const StructureWeight weight = regularisation_.Weight(buffer_.extent, buffer_, noise_sigma);
   const StructurePrior prior{options_.structure, weight.delta};
   const float lambda = static_cast<float>(options_.structure_weight) * weight.lambda;
-  snapshot->sigma = SceneSigma(buffer_, snapshot->residual, &draws_blur_, prior, lambda, noise_sigma, options);
+  snapshot->sigma = SceneSigma(buffer_, snapshot->residual, update_.psf(), prior, lambda, noise_sigma, options);
 }
 
 Status Segment::End(double noise_sigma, const Emit& emit) { return EmitSnapshot(noise_sigma, emit); }

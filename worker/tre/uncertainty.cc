@@ -5,6 +5,7 @@
 
 #include "mosaic/base/rng.h"
 #include "worker/sensor/bicubic.h"
+#include "worker/sensor/parallel.h"
 #include "worker/tre/emitted_band.h"
 
 namespace trem {
@@ -19,24 +20,30 @@ float HuberSlopeWeight(float difference, const StructurePrior& prior) {
   return size <= prior.delta ? 1.0F : prior.delta / size;
 }
 
+struct LinearPrior {
+  Image<float> across;  // lambda V of the difference to the right neighbour, ...
+  Image<float> down;    // ... and to the one below; 0 at the border.
+};
+
 // The quadratic whose minimiser is one draw.
 struct Perturbed {
+  const LinearPrior* prior = nullptr;
   Image<float> data;        // Right-hand side of the data term: N(0, sigma^2 W).
-  Image<float> across;      // lambda V of the difference to the right neighbour, ...
-  Image<float> down;        // ... and to the one below; 0 at the border.
   Image<float> prior_side;  // D' of the prior's right-hand side.
 };
 
-void LinearisePrior(const SceneBuffer& buffer, const StructurePrior& prior, float lambda, Perturbed* p) {
+LinearPrior Linearised(const SceneBuffer& buffer, const StructurePrior& prior, float lambda) {
   const Image<float>& s = buffer.scene;
-  p->across = Image<float>(s.width(), s.height());
-  p->down = p->across;
+  LinearPrior p;
+  p.across = Image<float>(s.width(), s.height());
+  p.down = p.across;
   for (int y = 0; y < s.height(); ++y) {
     for (int x = 0; x < s.width(); ++x) {
-      if (x + 1 < s.width()) p->across.at(x, y) = lambda * HuberSlopeWeight(s.at(x + 1, y) - s.at(x, y), prior);
-      if (y + 1 < s.height()) p->down.at(x, y) = lambda * HuberSlopeWeight(s.at(x, y + 1) - s.at(x, y), prior);
+      if (x + 1 < s.width()) p.across.at(x, y) = lambda * HuberSlopeWeight(s.at(x + 1, y) - s.at(x, y), prior);
+      if (y + 1 < s.height()) p.down.at(x, y) = lambda * HuberSlopeWeight(s.at(x, y + 1) - s.at(x, y), prior);
     }
   }
+  return p;
 }
 
 void DrawRightHandSide(const SceneBuffer& buffer, double noise_sigma, std::uint64_t seed, int probe, Perturbed* p) {
@@ -47,11 +54,13 @@ void DrawRightHandSide(const SceneBuffer& buffer, double noise_sigma, std::uint6
   for (int y = 0; y < height; ++y) {
     const auto place = [](int v) { return static_cast<std::uint64_t>(static_cast<std::int64_t>(v)); };
     Rng rng({seed, static_cast<std::uint64_t>(probe), place(buffer.extent.x0), place(buffer.extent.y0 + y)});
-    const auto draw = [&](float variance) { return static_cast<float>(noise_sigma * std::sqrt(static_cast<double>(variance)) * rng.Normal()); };
+    const auto draw = [&](float variance) {
+      return static_cast<float>(noise_sigma * std::sqrt(static_cast<double>(variance)) * rng.Normal());
+    };
     for (int x = 0; x < width; ++x) {
       p->data.at(x, y) = draw(std::max(buffer.weight.at(x, y), 0.0F));
-      const float across = draw(p->across.at(x, y));
-      const float down = draw(p->down.at(x, y));
+      const float across = draw(p->prior->across.at(x, y));
+      const float down = draw(p->prior->down.at(x, y));
       p->prior_side.at(x, y) -= across + down;
       if (x + 1 < width) p->prior_side.at(x + 1, y) += across;
       if (y + 1 < height) p->prior_side.at(x, y + 1) += down;
@@ -64,12 +73,12 @@ void AddPriorGradient(const Perturbed& p, const Image<float>& x, Image<float>* o
   for (int j = 0; j < x.height(); ++j) {
     for (int i = 0; i < x.width(); ++i) {
       if (i + 1 < x.width()) {
-        const float flow = p.across.at(i, j) * (x.at(i + 1, j) - x.at(i, j));
+        const float flow = p.prior->across.at(i, j) * (x.at(i + 1, j) - x.at(i, j));
         out->at(i, j) -= flow;
         out->at(i + 1, j) += flow;
       }
       if (j + 1 < x.height()) {
-        const float flow = p.down.at(i, j) * (x.at(i, j + 1) - x.at(i, j));
+        const float flow = p.prior->down.at(i, j) * (x.at(i, j + 1) - x.at(i, j));
         out->at(i, j) -= flow;
         out->at(i, j + 1) += flow;
       }
@@ -148,16 +157,24 @@ Image<float> SlopeSquared(const Image<float>& s) {
 
 }  // namespace
 
-Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual, Blur* blur, const StructurePrior& prior, float lambda,
+Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual, const Psf& psf, const StructurePrior& prior, float lambda,
                         double noise_sigma, const UncertaintyOptions& options) {
-  Perturbed p;
-  LinearisePrior(buffer, prior, lambda, &p);
+  const LinearPrior linear = Linearised(buffer, prior, lambda);
   Image<float> variance(buffer.scene.width(), buffer.scene.height());
-  for (int probe = 0; probe < options.probes; ++probe) {
-    DrawRightHandSide(buffer, noise_sigma, options.seed, probe, &p);
-    const Image<float> draw = InEmittedBand(Solve(buffer, p, lambda * prior.curvature_max(), options.iterations, blur));
-    for (std::size_t k = 0; k < variance.pixels().size(); ++k) {
-      variance.pixels()[k] += draw.pixels()[k] * draw.pixels()[k] / static_cast<float>(options.probes);
+  const int together = std::max(options.threads, 1);
+  std::vector<Blur> blurs(static_cast<std::size_t>(together), Blur(psf));
+  std::vector<Image<float>> draws(static_cast<std::size_t>(together));
+  for (int first = 0; first < options.probes; first += together) {
+    const int count = std::min(together, options.probes - first);
+    ForEachIndex(options.threads, count, [&](int index, int slot) {
+      Perturbed p{&linear, {}, {}};
+      DrawRightHandSide(buffer, noise_sigma, options.seed, first + index, &p);
+      Blur* const blur = &blurs[static_cast<std::size_t>(slot)];
+      draws[static_cast<std::size_t>(index)] = InEmittedBand(Solve(buffer, p, lambda * prior.curvature_max(), options.iterations, blur));
+    });
+    for (int index = 0; index < count; ++index) {
+      const std::span<const float> draw = draws[static_cast<std::size_t>(index)].pixels();
+      for (std::size_t k = 0; k < draw.size(); ++k) variance.pixels()[k] += draw[k] * draw[k] / static_cast<float>(options.probes);
     }
   }
   variance = BoxMean(variance, kAverageReach);

@@ -17,6 +17,7 @@ struct UncertaintyOptions {
   // Steps towards each draw's optimum.
   int iterations = 40;
   std::uint64_t seed = 0;
+  int threads = 1;  // So many draws at a time, each with memory of its own. The result does not depend on it.
 };
 
 // Standard deviation of the scene's error a cell [internal grey levels], 0 where `buffer.seen` is 0.
@@ -30,7 +31,7 @@ struct UncertaintyOptions {
 // calibrated against simulated truth and joined by a term for what the prior smooths, in proportion to the scene's slope; errors count
 // against truth filtered by [1 2 1] / 4 on the scene's grid. `residual` is ResidualMap::Rms: where the residuals are larger than the noise,
 // what is left of the model's error counts as noise. Random numbers are keyed by the seed and the cells' places in the scene plane.
-Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual, Blur* blur, const StructurePrior& prior, float lambda,
+Image<float> SceneSigma(const SceneBuffer& buffer, const Image<float>& residual, const Psf& psf, const StructurePrior& prior, float lambda,
                         double noise_sigma, const UncertaintyOptions& options);
 
 // Accumulates squared residuals where samples fall on the scene plane, frame by frame.

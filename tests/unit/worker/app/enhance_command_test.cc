@@ -190,7 +190,8 @@ TEST_F(EnhanceCommand, TheSceneHasItsStandardDeviationInformationAndResidual) {
   for (std::size_t i = 0; i < (*bands)[0].pixels().size(); ++i) {
     const bool known = (*bands)[2].pixels()[i] > 0.0F;
     seen += known ? 1 : 0;
-    for (const std::size_t band : {0U, 1U, 3U}) ASSERT_EQ(std::isfinite((*bands)[band].pixels()[i]), known) << "band " << band << " at " << i;
+    for (const std::size_t band : {0U, 1U, 3U})
+      ASSERT_EQ(std::isfinite((*bands)[band].pixels()[i]), known) << "band " << band << " at " << i;
     if (!known) continue;
     ASSERT_GT((*bands)[1].pixels()[i], 0.0F);
     ASSERT_LT((*bands)[1].pixels()[i], 128.0F);
@@ -226,6 +227,17 @@ TEST_F(EnhanceCommand, LeavesFourFilesNamedAfterTheOutput) {
   EXPECT_EQ(files, 4U) << "nothing temporary stays";
 }
 
+TEST_F(EnhanceCommand, TheNumberOfThreadsChangesNoByte) {
+  const TempDir temp;
+  for (const std::string& threads : {std::string("1"), std::string("3")}) {
+    const Outcome outcome = RunCommand({Frames(), "--threads", threads, "-q", "-o", (temp / ("by" + threads + ".tif")).string()});
+    ASSERT_EQ(outcome.code, 0) << outcome.err;
+  }
+  for (const char* const file : {".tif", "_chain.csv", "_comparison.png"}) {
+    EXPECT_TRUE(FileContents(temp / (std::string("by1") + file)) == FileContents(temp / (std::string("by3") + file))) << file;
+  }
+}
+
 TEST_F(EnhanceCommand, BadInputHasItsCodeAndMessageAndLeavesNothing) {
   const struct {
     std::vector<std::string> more;
@@ -243,6 +255,8 @@ TEST_F(EnhanceCommand, BadInputHasItsCodeAndMessageAndLeavesNothing) {
       {{"--roi", "1,2,99999999999,40"}, 2, "expected x,y,width,height"},
       {{"--roi", "40,40,60,60"}, 3, "is not inside the frames, which are 90 x 90 pixels"},
       {{"--roi", "0,0,15,40"}, 3, "is 15 x 40 sensor pixels; expected sides of 16 to 1024"},
+      {{"--threads", "-1"}, 2, "--threads"},
+      {{"--threads", "1025"}, 2, "--threads"},
       {{"--frames", "7"}, 2, "expected first:end"},
       {{"--frames", "7:x"}, 2, "expected first:end"},
       {{"--frames", "7:7"}, 2, "expected first:end"},
