@@ -74,6 +74,15 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--heartbeat-ms", options->shell.heartbeat_interval_ms, "Interval of heartbeats; a worker silent for 8 of them is lost")
       ->check(CLI::Range(10U, 60'000U))
       ->capture_default_str();
+  app->add_option("--user-jobs-max", options->shell.user_jobs_max, "Jobs that one user may have running; more are refused (0: no limit)")
+      ->capture_default_str();
+  app->add_option("--user-tasks-max", options->shell.scheduler.user_tasks_max,
+                  "Tasks that one user may have running at once; more wait (0: no limit)")
+      ->capture_default_str();
+  app->add_option("--hedge-factor", options->shell.scheduler.hedge_factor,
+                  "A task that takes so many times its stage's mean gets a second attempt on an idle worker (0: never)")
+      ->check(CLI::Range(0.0, 1000.0))
+      ->capture_default_str();
   app->footer(
       "Examples:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7411\n"
       "  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind 'tcp://*:7411' --key coordinator.key --allow allowed/");

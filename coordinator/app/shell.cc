@@ -25,6 +25,7 @@ TaskDoneEvent MakeDoneEvent(const std::string& worker_id, const v1::Done& done) 
   event.result = done.result();
   event.elapsed_ms = done.elapsed_ms();
   event.peak_memory_bytes = done.peak_memory_bytes();
+  event.bad_artefacts.assign(done.bad_artefacts().begin(), done.bad_artefacts().end());
   return event;
 }
 
@@ -102,6 +103,9 @@ void Shell::Take(const Effect& effect) {
     ToProto(cancel->attempt, envelope.mutable_cancel_task()->mutable_attempt());
     envelope.mutable_cancel_task()->set_reason(cancel->reason);
     SendToWorker(cancel->worker_id, std::move(envelope));
+  } else if (const auto* drain = std::get_if<DrainWorkerEffect>(&effect)) {
+    envelope.mutable_drain()->set_reason("asked to by a client");
+    SendToWorker(drain->worker_id, std::move(envelope));
   } else if (const auto* changed = std::get_if<JobChangedEffect>(&effect)) {
     const auto status = scheduler_.JobStatus(changed->job_id);
     LogWith(spdlog::level::info, v1::JobState_Name(status->state()) + (status->error().empty() ? "" : ": ") + status->error(),
@@ -154,6 +158,11 @@ void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& 
       return ReplyJobList(peer);
     case v1::Envelope::kCancelJob:
       return OnCancelJob(now_ms, peer, envelope.cancel_job());
+    case v1::Envelope::kRetryJob:
+      Feed(now_ms, RetryJobEvent{envelope.retry_job().job_id()});
+      return ReplyJobStatus(peer, envelope.retry_job().job_id());
+    case v1::Envelope::kDrainWorker:
+      return OnDrainWorker(now_ms, peer, envelope.drain_worker());
     case v1::Envelope::kListWorkers:
       return OnListWorkers(now_ms, peer);
     case v1::Envelope::kShutdown: {
@@ -246,13 +255,25 @@ void Shell::OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::Submit
   if (known != nullptr && SerializeDeterministic(*known) != SerializeDeterministic(sortie)) {
     return Refuse(peer, InvalidInput("job '" + submit.job_id() + "' exists with another sortie; choose another job id"));
   }
-  Feed(now_ms, SubmitJobEvent{submit.job_id(), sortie});
+  if (known == nullptr && options_.user_jobs_max != 0 && scheduler_.RunningJobCount(submit.user()) >= options_.user_jobs_max) {
+    return Refuse(peer, Exhausted("user '" + submit.user() + "' has " + std::to_string(options_.user_jobs_max) +
+                                  " jobs running, which is the limit; submit it again when one has ended"));
+  }
+  Feed(now_ms, SubmitJobEvent{submit.job_id(), sortie, submit.user(), submit.priority()});
   ReplyJobStatus(peer, submit.job_id());
 }
 
 void Shell::OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel) {
   if (scheduler_.FindSortie(cancel.job_id()) != nullptr) Feed(now_ms, CancelJobEvent{cancel.job_id()});
   ReplyJobStatus(peer, cancel.job_id());
+}
+
+void Shell::OnDrainWorker(TimeMs now_ms, const std::string& peer, const v1::DrainWorker& drain) {
+  if (workers_.count(drain.worker_id()) == 0) {
+    return Refuse(peer, NotFound("there is no worker '" + drain.worker_id() + "'; `trem workers` shows all"));
+  }
+  Feed(now_ms, DrainWorkerEvent{drain.worker_id()});
+  OnListWorkers(now_ms, peer);
 }
 
 void Shell::OnListWorkers(TimeMs now_ms, const std::string& peer) {

@@ -27,6 +27,8 @@ struct ShellOptions {
   std::uint32_t heartbeats_missed_max = 8;
   // Told of events as soon as they are durable; for metrics. May be empty.
   std::function<void(std::span<const v1::LogEvent>)> on_logged;
+  // Jobs that one user may have running at once; more are refused. 0: no limit.
+  std::uint32_t user_jobs_max = 0;
 };
 
 // What stands between the outside and the pure scheduler: turns messages into events, makes the scheduler's log events durable, and
@@ -75,6 +77,7 @@ class Shell {
   void OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
   void OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::SubmitJob& submit);
   void OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel);
+  void OnDrainWorker(TimeMs now_ms, const std::string& peer, const v1::DrainWorker& drain);
   void OnListWorkers(TimeMs now_ms, const std::string& peer);
   void ReplyJobStatus(const std::string& peer, const std::string& job_id);
   void ReplyJobList(const std::string& peer);

@@ -150,6 +150,7 @@ int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id) {
   if (!job.ok()) return Report(job.status());
   ShowJob(remote, *job);
   if (job->state() == v1::JOB_DONE) return kExitDone;
+  if (job->state() == v1::JOB_DONE_IN_PART) return kExitDoneInPart;
   PrintError("job " + job_id + " " + (job->error().empty() ? "is " + JobStateName(job->state()) : "failed: " + job->error()));
   return kExitFailed;
 }
@@ -170,7 +171,7 @@ int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, cons
   Client client = MakeClient(remote);
   const Result<v1::JobStatus> job = GetJob(&client, job_id);
   if (!job.ok()) return Report(job.status());
-  if (job->state() != v1::JOB_DONE) {
+  if (job->state() != v1::JOB_DONE && job->state() != v1::JOB_DONE_IN_PART) {
     return Report(
         Failed("job " + job_id + " is " + JobStateName(job->state()) + "; only the results of a job that is done can be fetched"));
   }

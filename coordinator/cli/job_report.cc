@@ -53,6 +53,8 @@ ordered_json JobJson(const v1::JobStatus& job) {
                              {"subject", note.subject()},
                              {"message", note.message()}});
   }
+  json["holes"] = ordered_json::array();
+  for (const v1::Note& hole : job.holes()) json["holes"].push_back({{"task", hole.subject()}, {"message", hole.message()}});
   json["peak_memory_bytes"] = job.peak_memory_bytes();
   json["worker_count"] = job.worker_count();
   json["retries"] = job.retries();
@@ -63,10 +65,12 @@ ordered_json JobJson(const v1::JobStatus& job) {
 std::vector<std::string> WarningLines(const v1::JobStatus& job, std::size_t count_max) {
   std::vector<std::string> lines;
   std::size_t count = 0;
+  const auto add = [&](const v1::Note& note) {
+    if (++count <= count_max) lines.push_back(note.subject().empty() ? note.message() : note.subject() + ": " + note.message());
+  };
+  for (const v1::Note& hole : job.holes()) add(hole);
   for (const v1::Note& note : job.notes()) {
-    if (note.severity() != v1::WARNING) continue;
-    ++count;
-    if (count <= count_max) lines.push_back(note.subject().empty() ? note.message() : note.subject() + ": " + note.message());
+    if (note.severity() == v1::WARNING) add(note);
   }
   if (count > count_max) lines.push_back("... and " + std::to_string(count - count_max) + " more; --json lists all");
   return lines;

@@ -82,7 +82,7 @@ Status RunJob(const RunOptions& options, const v1::Sortie& sortie, const std::st
   TREM_ASSIGN_OR_RETURN(state->job, client->Submit(job_id, sortie));
   for (;;) {
     display.Show(state->job);
-    if (state->job.state() == v1::JOB_DONE) return {};
+    if (state->job.state() == v1::JOB_DONE || state->job.state() == v1::JOB_DONE_IN_PART) return {};
     if (state->job.state() == v1::JOB_FAILED || state->job.state() == v1::JOB_CANCELLED) return JobFailure(state->job);
     TREM_RETURN_IF_ERROR(client->Pause(kPollInterval));
     TREM_ASSIGN_OR_RETURN(state->job, client->GetJob(state->job.job_id()));
@@ -177,7 +177,9 @@ int RunRunCommand(const RunOptions& options) {
   const Status status = Run(options, &state);
   state.elapsed_s = std::chrono::duration<double>(Clock::now() - start).count();
   const bool interrupted = !status.ok() && InterruptSignal() != 0;
-  const int exit_code = interrupted ? kExitSignalBase + InterruptSignal() : ExitCodeOf(status.code());
+  const bool in_part = status.ok() && state.job.state() == v1::JOB_DONE_IN_PART;
+  int exit_code = interrupted ? kExitSignalBase + InterruptSignal() : ExitCodeOf(status.code());
+  if (in_part) exit_code = kExitDoneInPart;
   // After invalid input the same command would fail the same way.
   const std::string kept = exit_code == kExitInvalidInput ? "; what was computed so far is kept in " + state.work_folder.string()
                                                           : "; the same command resumes (kept in " + state.work_folder.string() + ")";

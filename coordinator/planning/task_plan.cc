@@ -16,9 +16,34 @@ std::uint64_t SplitMix64(std::uint64_t state) {
   return z ^ (z >> 31);
 }
 
-void AddWindows(const JobInputs& inputs, v1::TaskSpec* spec) {
-  TREM_CHECK(inputs.window_pbs.size() == inputs.windows.size());
-  for (const v1::ArtefactRef& window : inputs.window_pbs) *spec->add_inputs() = window;
+constexpr const char* kWindowName = "window.pb";
+
+bool IsHole(const v1::ArtefactRef& ref) { return ref.sha256().empty(); }
+
+void AddAll(const std::vector<v1::ArtefactRef>& refs, v1::TaskSpec* spec) {
+  for (const v1::ArtefactRef& ref : refs) {
+    if (!IsHole(ref)) *spec->add_inputs() = ref;
+  }
+}
+
+void FillExportParams(const JobInputs& inputs, v1::TaskSpec* spec) {
+  for (std::size_t i = 0; i < inputs.tiles.size(); ++i) {
+    if (IsHole(inputs.tiles[i])) spec->mutable_export_params()->add_missing_tiles(static_cast<std::uint32_t>(i));
+  }
+  for (const v1::Note& hole : inputs.holes) *spec->mutable_export_params()->add_holes() = hole;
+}
+
+// The key of a spec whose window.pb inputs have this digest; those that it holds are not looked at.
+std::string KeyOf(const v1::TaskSpec& spec, const std::string& windows_digest, const std::string& job_id) {
+  v1::TaskSpec stripped = spec;
+  stripped.clear_key();
+  stripped.clear_inputs();
+  for (const v1::ArtefactRef& input : spec.inputs()) {
+    if (input.name() != kWindowName) *stripped.add_inputs() = input;
+  }
+  std::string bytes = SerializeDeterministic(stripped) + "\nwindows " + windows_digest + "\nengine " + kEngineRevision;
+  if (spec.kind() == v1::INGEST) bytes += "\njob " + job_id;
+  return Sha256Hex(bytes);
 }
 
 void FillEnhance(const JobInputs& inputs, std::uint32_t index, v1::TaskSpec* spec) {
@@ -32,13 +57,19 @@ void FillEnhance(const JobInputs& inputs, std::uint32_t index, v1::TaskSpec* spe
   spec->set_memory_bytes(EnhanceMemoryBytes(inputs.sortie, inputs.ingest.width_px(), inputs.ingest.height_px(), window));
 }
 
-}  // namespace
+// Whether tasks of this kind read every window.pb.
+bool ReadsWindows(v1::TaskKind kind) { return kind == v1::ALIGN || kind == v1::COMPOSITE || kind == v1::EXPORT; }
 
-v1::TaskSpec PlanTask(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index) {
+// The spec without its key, and without the windows unless they are asked for.
+v1::TaskSpec MakeSpec(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index, bool with_windows) {
   v1::TaskSpec spec;
   spec.set_kind(kind);
   *spec.mutable_sortie() = inputs.sortie;
   spec.set_seed(TaskSeed(inputs.sortie.seed(), kind, index));
+  if (ReadsWindows(kind)) TREM_CHECK(inputs.window_pbs.size() == inputs.windows.size());
+  if (kind == v1::COMPOSITE || kind == v1::EXPORT) *spec.add_inputs() = inputs.alignment;
+  if (kind == v1::ALIGN || kind == v1::EXPORT) *spec.add_inputs() = inputs.manifest;
+  if (ReadsWindows(kind) && with_windows) AddAll(inputs.window_pbs, &spec);
   switch (kind) {
     case v1::INGEST:
       spec.set_memory_bytes(IngestMemoryBytes());
@@ -47,44 +78,54 @@ v1::TaskSpec PlanTask(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t 
       FillEnhance(inputs, index, &spec);
       break;
     case v1::ALIGN:
-      *spec.add_inputs() = inputs.manifest;
-      AddWindows(inputs, &spec);
       spec.set_memory_bytes(AlignMemoryBytes(inputs.ingest, inputs.window_pb_bytes));
       break;
     case v1::COMPOSITE:
       TREM_CHECK(index < inputs.align.tile_count());
-      *spec.add_inputs() = inputs.alignment;
-      AddWindows(inputs, &spec);
       spec.mutable_composite()->set_tile_index(index);
       spec.set_memory_bytes(CompositeMemoryBytes(inputs.sortie, inputs.window_pb_bytes));
       break;
     case v1::EXPORT:
       TREM_CHECK(inputs.tiles.size() == inputs.align.tile_count());
-      *spec.add_inputs() = inputs.alignment;
-      *spec.add_inputs() = inputs.manifest;
-      AddWindows(inputs, &spec);
-      for (const v1::ArtefactRef& tile : inputs.tiles) *spec.add_inputs() = tile;
+      AddAll(inputs.tiles, &spec);
+      FillExportParams(inputs, &spec);
       spec.set_memory_bytes(ExportMemoryBytes(inputs.window_pb_bytes));
       break;
     default:
       TREM_CHECK_MSG(false, "task kind " + std::to_string(kind));
   }
-  spec.set_key(TaskKey(spec, inputs.job_id));
   return spec;
 }
 
-std::string TaskKey(const v1::TaskSpec& spec, const std::string& job_id) {
+std::string KeyOfPlanned(const JobInputs& inputs, const v1::TaskSpec& spec) {
+  if (!ReadsWindows(spec.kind())) return KeyOf(spec, WindowsDigest({}), inputs.job_id);
+  return KeyOf(spec, inputs.window_pbs_digest.empty() ? WindowsDigest(inputs.window_pbs) : inputs.window_pbs_digest, inputs.job_id);
+}
+
+}  // namespace
+
+v1::TaskSpec PlanTask(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index) {
+  v1::TaskSpec spec = MakeSpec(inputs, kind, index, true);
+  spec.set_key(KeyOfPlanned(inputs, spec));
+  return spec;
+}
+
+PlannedKey PlanTaskKey(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index) {
+  const v1::TaskSpec spec = MakeSpec(inputs, kind, index, false);
+  return {KeyOfPlanned(inputs, spec), spec.memory_bytes()};
+}
+
+std::string WindowsDigest(std::span<const v1::ArtefactRef> inputs) {
   std::string bytes;
-  if (spec.key().empty()) {
-    bytes = SerializeDeterministic(spec);
-  } else {
-    v1::TaskSpec keyless = spec;
-    keyless.clear_key();
-    bytes = SerializeDeterministic(keyless);
+  for (const v1::ArtefactRef& input : inputs) {
+    if (input.name() == kWindowName && !IsHole(input)) bytes += SerializeDeterministic(input) + "\n";
   }
-  bytes += kEngineRevision;
-  if (spec.kind() == v1::INGEST) bytes += "\njob " + job_id;
   return Sha256Hex(bytes);
+}
+
+std::string TaskKey(const v1::TaskSpec& spec, const std::string& job_id) {
+  const std::vector<v1::ArtefactRef> inputs(spec.inputs().begin(), spec.inputs().end());
+  return KeyOf(spec, WindowsDigest(inputs), job_id);
 }
 
 std::uint64_t TaskSeed(std::uint64_t sortie_seed, v1::TaskKind kind, std::uint32_t index) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -19,11 +20,13 @@ struct JobInputs {
   v1::IngestSummary ingest;                 // After INGEST.
   v1::ArtefactRef manifest;                 // After INGEST.
   std::vector<WindowPlan> windows;          // After INGEST: PlanWindows.
-  std::vector<v1::ArtefactRef> window_pbs;  // After ENHANCE: the first output of each, in window order.
+  std::vector<v1::ArtefactRef> window_pbs;  // After ENHANCE: the first output of each, in window order; without a digest: a hole.
+  std::string window_pbs_digest;            // After ENHANCE: WindowsDigest, computed once for the many tasks whose keys hold it.
   std::uint64_t window_pb_bytes = 0;        // Sum of their sizes.
   v1::AlignSummary align;                   // After ALIGN.
   v1::ArtefactRef alignment;                // After ALIGN.
-  std::vector<v1::ArtefactRef> tiles;       // After COMPOSITE: the first output of each, in tile order.
+  std::vector<v1::ArtefactRef> tiles;       // After COMPOSITE: the first output of each, in tile order; without a digest: a hole.
+  std::vector<v1::Note> holes;              // Tasks that were given up, for the report.
 };
 
 // The task of `kind` number `index` (window id for ENHANCE, tile index for COMPOSITE, 0 for the others) with its inputs:
@@ -32,13 +35,24 @@ struct JobInputs {
 //   ALIGN      manifest.pb, every window.pb in window order
 //   COMPOSITE  alignment.pb, every window.pb in window order
 //   EXPORT     alignment.pb, manifest.pb, every window.pb, every tile.tif in tile order
+// Windows and tiles that are holes are left out; EXPORT's params name the missing tiles.
 // Its result's outputs must begin with MainArtefactName(kind), except for EXPORT, whose outputs are the user's files.
 // Precondition: what the kind needs of `inputs` is filled in.
 v1::TaskSpec PlanTask(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index);
 
-// SHA-256 of the spec's deterministic bytes without its key, and of the engine revision: same key, same bytes. An INGEST's input is a
-// path, not a digest, so the job's id goes into its key too: a source that has changed since an earlier job is read again, while the
-// tasks after it are shared between jobs whose manifests are equal.
+// The key and memory bound that PlanTask gives, without the list of windows, which is long and the same in every task of a stage.
+struct PlannedKey {
+  std::string key;
+  std::uint64_t memory_bytes = 0;
+};
+PlannedKey PlanTaskKey(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index);
+
+// SHA-256 of the deterministic bytes of every window.pb in `inputs`, in order; those without a digest are left out.
+std::string WindowsDigest(std::span<const v1::ArtefactRef> inputs);
+
+// SHA-256 of the spec's deterministic bytes without its key and windows, of WindowsDigest, and of the engine revision: same key, same
+// bytes. An INGEST's input is a path, not a digest, so the job's id goes into its key too: a source that has changed since an earlier job
+// is read again, while the tasks after it are shared between jobs whose manifests are equal.
 std::string TaskKey(const v1::TaskSpec& spec, const std::string& job_id);
 
 // SplitMix64 (Steele, Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) finaliser applied to

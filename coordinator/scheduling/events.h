@@ -24,11 +24,17 @@ struct Attempt {
 
 // ---- What happens to the scheduler ----------------------------------------------------------------------------------------------
 
-// Preconditions: `job_id` passes IsJobId; `sortie` is complete and, when the job exists, equal to the job's. A job that runs or is done
-// is left alone; one that failed or was cancelled is taken up again, and finished tasks are reused.
+// Preconditions: `job_id` passes IsJobId; `sortie` is complete and, when the job exists, equal to the job's. A job that runs or is done,
+// wholly or in part, is left alone; one that failed or was cancelled is taken up again, and finished tasks are reused.
 struct SubmitJobEvent {
   std::string job_id;
   v1::Sortie sortie;
+  std::string user;  // Whose share of the workers it uses.
+  int priority = 0;  // A higher one goes first.
+};
+// Takes up what failed of a job that has failed, was cancelled or ended in part; nothing for others.
+struct RetryJobEvent {
+  std::string job_id;
 };
 struct CancelJobEvent {
   std::string job_id;
@@ -50,6 +56,10 @@ struct WorkerLostEvent {
 struct WorkerGoodbyeEvent {
   std::string worker_id;
 };
+// The worker is to get nothing more and to leave when it is done with what it has.
+struct DrainWorkerEvent {
+  std::string worker_id;
+};
 struct ProgressEvent {
   std::string worker_id;
   Attempt attempt;
@@ -63,12 +73,13 @@ struct TaskDoneEvent {
   v1::TaskResult result;  // When code is kOk.
   std::uint64_t elapsed_ms = 0;
   std::uint64_t peak_memory_bytes = 0;
+  std::vector<std::string> bad_artefacts;  // Digests of inputs that are damaged or missing, when that is why it failed.
 };
 // Time has passed. Leases end only here, so a shell that was itself stopped for a while can deliver the Progress that waited first.
 struct TickEvent {};
 
-using Event = std::variant<SubmitJobEvent, CancelJobEvent, WorkerHelloEvent, WorkerLostEvent, WorkerGoodbyeEvent, ProgressEvent,
-                           TaskDoneEvent, TickEvent>;
+using Event = std::variant<SubmitJobEvent, RetryJobEvent, CancelJobEvent, WorkerHelloEvent, WorkerLostEvent, WorkerGoodbyeEvent,
+                           DrainWorkerEvent, ProgressEvent, TaskDoneEvent, TickEvent>;
 
 // ---- What the shell has to do about it ------------------------------------------------------------------------------------------
 
@@ -91,6 +102,9 @@ struct CancelTaskEffect {
   Attempt attempt;
   std::string reason;
 };
+struct DrainWorkerEffect {
+  std::string worker_id;
+};
 // The job's state (not merely its progress) changed.
 struct JobChangedEffect {
   std::string job_id;
@@ -100,6 +114,6 @@ struct LogEffect {
   std::string text;
 };
 
-using Effect = std::variant<AppendEffect, DispatchEffect, AckEffect, CancelTaskEffect, JobChangedEffect, LogEffect>;
+using Effect = std::variant<AppendEffect, DispatchEffect, AckEffect, CancelTaskEffect, DrainWorkerEffect, JobChangedEffect, LogEffect>;
 
 }  // namespace trem

@@ -11,6 +11,17 @@ namespace {
 constexpr std::array<double, 5> kShares = {0.03, 0.75, 0.04, 0.13, 0.05};
 // A status message carries at most this many notes; one more says how many were left out.
 constexpr std::size_t kStatusNotesMax = 2000;
+// Neighbouring tiles of a row, which mostly read the same scenes.
+constexpr std::uint32_t kTilesSideBySide = 8;
+
+v1::Note HoleNote(const TaskPlace& place, const Status& reason) {
+  v1::Note note;
+  note.set_code("task_given_up");
+  note.set_subject(TaskTitle(place.kind, place.index));
+  note.set_message("is missing: " + reason.message());
+  note.set_severity(v1::WARNING);
+  return note;
+}
 
 }  // namespace
 
@@ -27,59 +38,118 @@ PlannedTask JobGraph::Start() {
 }
 
 void JobGraph::Plan(v1::TaskKind kind, std::uint32_t index, std::vector<PlannedTask>* planned) {
-  const v1::TaskSpec spec = PlanTask(inputs_, kind, index);
-  const TaskPlace place{kind, index};
-  TREM_CHECK(pending_.emplace(place, spec.key()).second);
-  planned->push_back({place, spec.key(), spec.memory_bytes()});
+  Stage& s = stage(kind);
+  if (s.pending.size() < s.total) s.pending.resize(s.total, false);
+  TREM_CHECK(index < s.total && !s.pending[index]);
+  s.pending[index] = true;
+  PlannedKey key = PlanTaskKey(inputs_, kind, index);
+  std::uint32_t locality = 0;
+  if (kind == v1::ENHANCE) locality = inputs_.windows[index].frame_begin;
+  if (kind == v1::COMPOSITE) locality = index / kTilesSideBySide;
+  planned->push_back({{kind, index}, std::move(key.key), key.memory_bytes, locality});
 }
 
 Result<std::vector<PlannedTask>> JobGraph::Finish(const TaskPlace& place, const FinishedTask& finished) {
-  TREM_CHECK_MSG(pending_.erase(place) == 1, TaskTitle(place.kind, place.index) + " is not pending");
+  TREM_CHECK_MSG(IsPending(place), TaskTitle(place.kind, place.index) + " is not pending");
   Stage& current = stage(place.kind);
+  current.pending[place.index] = false;
   ++current.done;
   current.elapsed_ms += finished.elapsed_ms;
   peak_memory_bytes_ = std::max(peak_memory_bytes_, finished.peak_memory_bytes);
   for (const v1::Note& note : finished.result.notes()) AddNote(note);
-  if (place.kind == v1::ENHANCE) {
-    inputs_.window_pbs[place.index] = finished.result.outputs(0);
-    inputs_.window_pb_bytes += finished.result.outputs(0).bytes();
-  }
-  if (place.kind == v1::COMPOSITE) inputs_.tiles[place.index] = finished.result.outputs(0);
-  if (current.done < current.total) return std::vector<PlannedTask>{};
-  return Unfold(place.kind, finished.result);
+  SetOutput(place, finished.result);
+  return UnfoldWhenComplete(place.kind);
 }
 
-Result<std::vector<PlannedTask>> JobGraph::Unfold(v1::TaskKind finished_kind, const v1::TaskResult& result) {
-  std::vector<PlannedTask> planned;
-  switch (finished_kind) {
-    case v1::INGEST: {
+void JobGraph::SetOutput(const TaskPlace& place, const v1::TaskResult& result) {
+  switch (place.kind) {
+    case v1::INGEST:
       inputs_.ingest = result.ingest();
       inputs_.manifest = result.outputs(0);
-      TREM_ASSIGN_OR_RETURN(inputs_.windows, PlanWindows(inputs_.sortie, inputs_.ingest));
-      inputs_.window_pbs.resize(inputs_.windows.size());
-      stage(v1::ENHANCE).total = static_cast<std::uint32_t>(inputs_.windows.size());
-      for (const WindowPlan& window : inputs_.windows) Plan(v1::ENHANCE, window.window_id, &planned);
       break;
-    }
     case v1::ENHANCE:
-      Plan(v1::ALIGN, 0, &planned);
+      inputs_.window_pbs[place.index] = result.outputs(0);
+      inputs_.window_pb_bytes += result.outputs(0).bytes();
       break;
-    case v1::ALIGN: {
+    case v1::ALIGN:
       inputs_.align = result.align();
       inputs_.alignment = result.outputs(0);
-      const std::uint32_t tile_count = inputs_.align.tile_count();
-      inputs_.tiles.resize(tile_count);
-      stage(v1::COMPOSITE).total = tile_count;
-      for (std::uint32_t i = 0; i < tile_count; ++i) Plan(v1::COMPOSITE, i, &planned);
       break;
-    }
     case v1::COMPOSITE:
-      Plan(v1::EXPORT, 0, &planned);
+      inputs_.tiles[place.index] = result.outputs(0);
       break;
     default:
       outputs_.assign(result.outputs().begin(), result.outputs().end());
   }
+}
+
+Result<std::vector<PlannedTask>> JobGraph::GiveUp(const TaskPlace& place, const Status& reason) {
+  TREM_CHECK_MSG(IsPending(place), TaskTitle(place.kind, place.index) + " is not pending");
+  if (place.kind != v1::ENHANCE && place.kind != v1::COMPOSITE) return reason;
+  Stage& current = stage(place.kind);
+  current.pending[place.index] = false;
+  ++current.holes;
+  holes_.insert_or_assign(place, reason);
+  if (current.holes == current.total) {
+    return holes_.lower_bound({place.kind, 0})
+        ->second.WithPrefix("all " + std::to_string(current.total) + " " + v1::TaskKind_Name(place.kind) + " tasks failed; the first one");
+  }
+  return UnfoldWhenComplete(place.kind);
+}
+
+void JobGraph::Reopen(const TaskPlace& place, const FinishedTask& finished) {
+  Stage& current = stage(place.kind);
+  TREM_CHECK(place.index < current.pending.size() && !current.pending[place.index] && current.done > 0);
+  current.pending[place.index] = true;
+  --current.done;
+  current.elapsed_ms -= finished.elapsed_ms;
+  if (place.kind == v1::ENHANCE) inputs_.window_pb_bytes -= finished.result.outputs(0).bytes();
+}
+
+Result<std::vector<PlannedTask>> JobGraph::UnfoldWhenComplete(v1::TaskKind kind) {
+  Stage& current = stage(kind);
+  if (current.is_unfolded || current.done + current.holes < current.total) return std::vector<PlannedTask>{};
+  current.is_unfolded = true;
+  return Unfold(kind);
+}
+
+Result<std::vector<PlannedTask>> JobGraph::Unfold(v1::TaskKind finished_kind) {
+  std::vector<PlannedTask> planned;
+  switch (finished_kind) {
+    case v1::INGEST: {
+      TREM_ASSIGN_OR_RETURN(inputs_.windows, PlanWindows(inputs_.sortie, inputs_.ingest));
+      inputs_.window_pbs.resize(inputs_.windows.size());
+      stage(v1::ENHANCE).total = static_cast<std::uint32_t>(inputs_.windows.size());
+      planned.reserve(inputs_.windows.size());
+      for (const WindowPlan& window : inputs_.windows) Plan(v1::ENHANCE, window.window_id, &planned);
+      break;
+    }
+    case v1::ENHANCE:
+      inputs_.window_pbs_digest = WindowsDigest(inputs_.window_pbs);
+      Plan(v1::ALIGN, 0, &planned);
+      break;
+    case v1::ALIGN: {
+      const std::uint32_t tile_count = inputs_.align.tile_count();
+      inputs_.tiles.resize(tile_count);
+      stage(v1::COMPOSITE).total = tile_count;
+      planned.reserve(tile_count);
+      for (std::uint32_t i = 0; i < tile_count; ++i) Plan(v1::COMPOSITE, i, &planned);
+      break;
+    }
+    case v1::COMPOSITE:
+      for (const auto& [place, reason] : holes_) inputs_.holes.push_back(HoleNote(place, reason));
+      Plan(v1::EXPORT, 0, &planned);
+      break;
+    default:
+      break;
+  }
   return planned;
+}
+
+std::optional<double> JobGraph::MeanElapsedMs(v1::TaskKind kind) const {
+  const Stage& s = stage(kind);
+  if (s.done < 3 || 2 * s.done < s.total) return std::nullopt;
+  return static_cast<double>(s.elapsed_ms) / s.done;
 }
 
 void JobGraph::AddNote(const v1::Note& note) {
@@ -102,7 +172,7 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
     message->set_done(stages_[i].done);
     message->set_running(running_count[i]);
     message->set_running_fraction(running_fraction[i]);
-    if (stages_[i].total > 0) fraction += kShares[i] * (stages_[i].done + running_fraction[i]) / stages_[i].total;
+    if (stages_[i].total > 0) fraction += kShares[i] * (stages_[i].done + stages_[i].holes + running_fraction[i]) / stages_[i].total;
   }
   status->set_fraction(done() ? 1.0 : std::min(fraction, 1.0));
   status->set_eta_s(done() ? 0.0 : EstimateRemainingSeconds(running_fraction, worker_count));
@@ -115,6 +185,10 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
       break;
     }
     *status->add_notes() = note;
+  }
+  for (const auto& [place, reason] : holes_) {
+    if (static_cast<std::size_t>(status->holes_size()) == kStatusNotesMax) break;
+    *status->add_holes() = HoleNote(place, reason);
   }
   status->set_peak_memory_bytes(peak_memory_bytes_);
   status->set_retries(retries_);
@@ -132,9 +206,9 @@ double JobGraph::EstimateRemainingSeconds(const std::array<double, kStageCount>&
       remaining_ms += share_ms / worker_count;
       continue;
     }
-    const double left = std::max(0.0, s.total - s.done - running_fraction[i]);
+    const double left = std::max(0.0, s.total - s.done - s.holes - running_fraction[i]);
     const double mean_ms = s.done > 0 ? static_cast<double>(s.elapsed_ms) / s.done : share_ms / s.total;
-    const double side_by_side = std::max(1.0, std::min<double>(worker_count, s.total - s.done));
+    const double side_by_side = std::max(1.0, std::min<double>(worker_count, s.total - s.done - s.holes));
     remaining_ms += left * mean_ms / side_by_side;
   }
   return remaining_ms / 1000.0;

@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <string>
 #include <tuple>
 #include <utility>
@@ -27,6 +28,8 @@ struct PlannedTask {
   TaskPlace place;
   std::string key;
   std::uint64_t memory_bytes = 0;
+  // Tasks of a stage with the same number read the same frames (ENHANCE) or neighbouring scenes (COMPOSITE).
+  std::uint32_t locality = 0;
 };
 
 // How a finished task went.
@@ -36,8 +39,9 @@ struct FinishedTask {
   std::uint64_t peak_memory_bytes = 0;
 };
 
-// The stages Ingest -> Enhance* -> Align -> Composite* -> Export of one job, unfolded as results arrive. Pure: knows nothing of workers,
-// attempts or other jobs. Cost: O(log n) a result, plus O(n) once when a stage of n tasks is unfolded.
+// The stages Ingest -> Enhance* -> Align -> Composite* -> Export of one job, unfolded as results arrive. An Enhance or Composite task may
+// be given up: it becomes a hole, and what follows is made of the others. Pure: knows nothing of workers, attempts or other jobs. Cost:
+// O(log n) a result, plus O(n) once when a stage of n tasks is unfolded.
 class JobGraph {
  public:
   JobGraph(std::string job_id, v1::Sortie sortie);
@@ -46,11 +50,23 @@ class JobGraph {
   PlannedTask Start();
   // Takes the result of a pending task and returns the tasks that have become known. An error means that the job cannot go on.
   Result<std::vector<PlannedTask>> Finish(const TaskPlace& place, const FinishedTask& finished);
+  // Goes on without a pending task, for this reason. An error means that nothing is left to go on with, or that the stage cannot have
+  // holes.
+  Result<std::vector<PlannedTask>> GiveUp(const TaskPlace& place, const Status& reason);
+  // Takes a result back: the task is pending again. Tasks that became known through it stay known, because a repeated task gives the same
+  // bytes.
+  void Reopen(const TaskPlace& place, const FinishedTask& finished);
   // The full message of a task that has become known.
   v1::TaskSpec Spec(const TaskPlace& place) const { return PlanTask(inputs_, place.kind, place.index); }
 
-  // Known and unfinished tasks: place -> key.
-  const std::map<TaskPlace, std::string>& pending() const { return pending_; }
+  bool IsPending(const TaskPlace& place) const {
+    const Stage& s = stage(place.kind);
+    return place.index < s.pending.size() && s.pending[place.index];
+  }
+  // What was given up, and why.
+  const std::map<TaskPlace, Status>& holes() const { return holes_; }
+  // Mean duration of the stage's finished tasks, once at least three and half of all are; nullopt before.
+  std::optional<double> MeanElapsedMs(v1::TaskKind kind) const;
   bool done() const { return stage(v1::EXPORT).done == 1; }
   const v1::Sortie& sortie() const { return inputs_.sortie; }
 
@@ -70,19 +86,24 @@ class JobGraph {
   struct Stage {
     std::uint32_t total = 0;
     std::uint32_t done = 0;
+    std::uint32_t holes = 0;
     std::uint64_t elapsed_ms = 0;  // Sum over the done ones.
+    bool is_unfolded = false;      // What follows it is known.
+    std::vector<bool> pending;     // By index.
   };
   static constexpr int kStageCount = 5;
 
   Stage& stage(v1::TaskKind kind) { return stages_[static_cast<std::size_t>(kind) - 1]; }
   const Stage& stage(v1::TaskKind kind) const { return stages_[static_cast<std::size_t>(kind) - 1]; }
   void Plan(v1::TaskKind kind, std::uint32_t index, std::vector<PlannedTask>* planned);
-  Result<std::vector<PlannedTask>> Unfold(v1::TaskKind finished_kind, const v1::TaskResult& result);
+  Result<std::vector<PlannedTask>> UnfoldWhenComplete(v1::TaskKind kind);
+  Result<std::vector<PlannedTask>> Unfold(v1::TaskKind finished_kind);
+  void SetOutput(const TaskPlace& place, const v1::TaskResult& result);
   double EstimateRemainingSeconds(const std::array<double, kStageCount>& running_fraction, std::uint32_t worker_count) const;
 
   JobInputs inputs_;
   std::array<Stage, kStageCount> stages_;
-  std::map<TaskPlace, std::string> pending_;
+  std::map<TaskPlace, Status> holes_;
   std::vector<v1::ArtefactRef> outputs_;
   std::map<std::tuple<std::string, std::string, std::string, int>, v1::Note> notes_;  // Sorted and unique.
   std::uint64_t peak_memory_bytes_ = 0;

@@ -9,6 +9,17 @@
 
 namespace trem {
 namespace fs = std::filesystem;
+namespace {
+
+// Whether the file is there with these bytes.
+bool Holds(const fs::path& path, std::uint64_t bytes, const std::string& sha256) {
+  std::error_code error;
+  if (fs::file_size(path, error) != bytes || error) return false;
+  const auto found = Sha256HexOfFile(path);
+  return found.ok() && *found == sha256;
+}
+
+}  // namespace
 
 Result<ArtefactStore> ArtefactStore::Open(const fs::path& root) {
   TREM_RETURN_IF_ERROR(MakeDirectories(root / "objects"));
@@ -30,8 +41,8 @@ Result<ArtefactRef> ArtefactStore::PutFile(const std::string& name, const fs::pa
   if (error) return FromErrno("cannot stat " + temporary.string(), error.value());
   const fs::path object = ObjectPath(sha256);
   TREM_RETURN_IF_ERROR(MakeDirectories(object.parent_path()));
-  // An object of another size under this name is damage, not this artefact: the rename puts the good bytes in its place.
-  if (fs::exists(object, error) && fs::file_size(object, error) == bytes) {
+  // Other bytes under this name are damage, not this artefact: the rename puts the good ones in their place.
+  if (Holds(object, bytes, sha256)) {
     fs::remove(temporary, error);
   } else {
     TREM_RETURN_IF_ERROR(PublishFile(temporary, object));

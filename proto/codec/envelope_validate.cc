@@ -132,6 +132,7 @@ Status Validate(const v1::Done& done) {
                "a result exactly when status_code is 0");
   }
   TREM_RETURN_IF_ERROR(ValidateAll(done.result().outputs()));
+  for (const std::string& digest : done.bad_artefacts()) TREM_RETURN_IF_ERROR(CheckDigest("bad_artefacts", digest));
   TREM_RETURN_IF_ERROR(Validate(done.result().ingest()));
   return ValidateAll(done.result().notes());
 }
@@ -160,10 +161,16 @@ Status Validate(const v1::CancelTask& cancel) {
   return CheckText("reason", cancel.reason(), kTextBytesMax);
 }
 
+Status Validate(const v1::Drain& drain) { return CheckText("reason", drain.reason(), kTextBytesMax); }
+
 Status Validate(const v1::Goodbye& goodbye) { return CheckText("reason", goodbye.reason(), kTextBytesMax); }
 
 Status Validate(const v1::SubmitJob& submit) {
   TREM_RETURN_IF_ERROR(CheckJobId(submit.job_id()));
+  if (!submit.user().empty() && !IsId(submit.user(), kIdLengthMaxJob)) {
+    return Bad("user", fmt::format("'{}'", submit.user().substr(0, kIdLengthMaxJob)), "at most 64 of a-z, 0-9 and '-'");
+  }
+  TREM_RETURN_IF_ERROR(CheckRange("priority", submit.priority(), -10, 10));
   return submit.has_sortie() ? Status() : Bad("sortie", "missing", "the job's spec");
 }
 
@@ -181,6 +188,7 @@ Status Validate(const v1::JobStatus& job) {
   TREM_RETURN_IF_ERROR(CheckStatusCode(job.error_code()));
   TREM_RETURN_IF_ERROR(ValidateAll(job.outputs()));
   TREM_RETURN_IF_ERROR(ValidateAll(job.notes()));
+  TREM_RETURN_IF_ERROR(ValidateAll(job.holes()));
   TREM_RETURN_IF_ERROR(CheckRange("fraction", job.fraction(), 0.0, 1.0));
   return CheckFinite("eta_s", job.eta_s());
 }
@@ -214,10 +222,16 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return Validate(envelope.ack());
     case v1::Envelope::kCancelTask:
       return Validate(envelope.cancel_task());
+    case v1::Envelope::kDrain:
+      return Validate(envelope.drain());
     case v1::Envelope::kSubmitJob:
       return Validate(envelope.submit_job());
     case v1::Envelope::kGetJob:
       return CheckJobId(envelope.get_job().job_id());
+    case v1::Envelope::kRetryJob:
+      return CheckJobId(envelope.retry_job().job_id());
+    case v1::Envelope::kDrainWorker:
+      return CheckWorkerId(envelope.drain_worker().worker_id());
     case v1::Envelope::kCancelJob:
       return CheckJobId(envelope.cancel_job().job_id());
     case v1::Envelope::kJobStatus:

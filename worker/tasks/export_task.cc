@@ -1,6 +1,7 @@
 // EXPORT: alignment, manifest, windows and tiles -> the files that a user gets.
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <filesystem>
 #include <functional>
@@ -48,6 +49,7 @@ class Exporter {
 
  private:
   Status ReadInputs();
+  Status PlaceTiles();
   Status WriteFrames();
   Status WriteMosaic();
   Status WriteQuality();
@@ -70,7 +72,7 @@ class Exporter {
   v1::SortieManifest manifest_;
   v1::Alignment alignment_;
   MosaicGrid grid_;
-  std::vector<v1::ArtefactRef> tiles_;
+  std::vector<std::optional<ArtefactRef>> tiles_;  // By tile index.
   ReportData report_;
   std::optional<Pictures> pictures_;
   v1::TaskResult result_;
@@ -82,14 +84,28 @@ Status Exporter::ReadInputs() {
   TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest, SingleInput(spec_, "manifest.pb"));
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store_, manifest, &manifest_));
   TREM_ASSIGN_OR_RETURN(grid_, FromProto(alignment_.grid()));
-  tiles_ = InputsNamed(spec_, "tile.tif");
-  if (tiles_.size() != static_cast<std::size_t>(grid_.tile_count())) {
-    return InvalidInput("EXPORT task " + spec_.key() + " has " + std::to_string(tiles_.size()) + " inputs named tile.tif; the mosaic has " +
-                        std::to_string(grid_.tile_count()) + " tiles");
-  }
+  TREM_RETURN_IF_ERROR(PlaceTiles());
   if (!std::isfinite(manifest_.grey_offset()) || !(manifest_.grey_scale() > 0.0) || !std::isfinite(manifest_.grey_scale())) {
     return Corrupt("manifest.pb has grey_offset " + std::to_string(manifest_.grey_offset()) + " and grey_scale " +
                    std::to_string(manifest_.grey_scale()) + "; expected finite numbers and a positive scale");
+  }
+  return {};
+}
+
+// The inputs are the tiles that there are, in order; between them are those that could not be composed.
+Status Exporter::PlaceTiles() {
+  const std::vector<v1::ArtefactRef> present = InputsNamed(spec_, "tile.tif");
+  const auto& missing = spec_.export_params().missing_tiles();
+  const auto tile_count = static_cast<std::size_t>(grid_.tile_count());
+  if (present.size() + static_cast<std::size_t>(missing.size()) != tile_count) {
+    return InvalidInput("EXPORT task " + spec_.key() + " has " + std::to_string(present.size()) + " inputs named tile.tif and " +
+                        std::to_string(missing.size()) + " missing tiles; the mosaic has " + std::to_string(tile_count) + " tiles");
+  }
+  std::size_t next_present = 0;
+  for (std::size_t i = 0; i < tile_count; ++i) {
+    const bool is_missing = std::find(missing.begin(), missing.end(), i) != missing.end();
+    if (!is_missing && next_present == present.size()) return InvalidInput("EXPORT task " + spec_.key() + " repeats a missing tile");
+    tiles_.push_back(is_missing ? std::nullopt : std::optional(FromProto(present[next_present++])));
   }
   return {};
 }
@@ -107,8 +123,9 @@ Status Exporter::PutBytes(const std::string& name, const std::string& bytes) {
 }
 
 Result<std::vector<Image<float>>> Exporter::ReadTile(int index, const std::vector<TilePlane>& planes) const {
-  const ArtefactRef ref = FromProto(tiles_[static_cast<std::size_t>(index)]);
-  TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store_.Locate(ref));
+  const std::optional<ArtefactRef>& ref = tiles_[static_cast<std::size_t>(index)];
+  if (!ref) return EmptyTilePlanes(grid_, index, planes);
+  TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store_.Locate(*ref));
   return ReadTilePlanes(path, grid_, index, planes);
 }
 
@@ -147,7 +164,7 @@ Status Exporter::WriteMosaic() {
   cog.bands = {"median intensity [grey levels of the source]"};
   const float scale = static_cast<float>(manifest_.grey_scale()), offset = static_cast<float>(manifest_.grey_offset());
   const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
-    TREM_RETURN_IF_ERROR(store_.Verify(FromProto(tiles_[static_cast<std::size_t>(index)])));
+    if (const auto& tile = tiles_[static_cast<std::size_t>(index)]) TREM_RETURN_IF_ERROR(store_.Verify(*tile));
     TREM_ASSIGN_OR_RETURN(std::vector<Image<float>> planes, ReadTile(index, {TilePlane::kMedian}));
     for (float& value : planes[0].pixels()) value = offset + scale * value;
     pictures_->preview.Add(grid_.TileRoi(index), planes[0]);
@@ -224,7 +241,7 @@ Status Exporter::WriteReport() {
   TREM_ASSIGN_OR_RETURN(report_.preview.png, GreyPng(pictures_->report_preview.Picture(), stretch));
   TREM_ASSIGN_OR_RETURN(report_.count.png, ColourPng(count, report_.count.range));
   TREM_ASSIGN_OR_RETURN(report_.nmad.png, ColourPng(nmad, report_.nmad.range));
-  for (const auto* notes : {&manifest_.notes(), &alignment_.notes()}) {
+  for (const auto* notes : {&spec_.export_params().holes(), &manifest_.notes(), &alignment_.notes()}) {
     for (const v1::Note& note : *notes)
       report_.notes.push_back({note.severity() == v1::WARNING, note.code(), note.subject(), note.message()});
   }

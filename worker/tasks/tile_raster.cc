@@ -42,4 +42,16 @@ Result<std::vector<Image<float>>> ReadTilePlanes(const std::filesystem::path& pa
   return ReadFloatBands(path, bands, std::nullopt, static_cast<long long>(kTileSideMax) * kTileSideMax);
 }
 
+std::vector<Image<float>> EmptyTilePlanes(const MosaicGrid& grid, int tile_index, const std::vector<TilePlane>& planes) {
+  const Roi roi = grid.TileRoi(tile_index);
+  std::vector<Image<float>> images;
+  for (const TilePlane plane : planes) {
+    float value = std::numeric_limits<float>::quiet_NaN();
+    if (plane == TilePlane::kCount) value = 0.0f;
+    if (plane == TilePlane::kSource) value = kNoSource;
+    images.emplace_back(roi.width(), roi.height(), value);
+  }
+  return images;
+}
+
 }  // namespace trem

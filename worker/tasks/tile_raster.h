@@ -22,4 +22,7 @@ Status WriteTileRaster(const std::filesystem::path& path, const MosaicGrid& grid
 Result<std::vector<Image<float>>> ReadTilePlanes(const std::filesystem::path& path, const MosaicGrid& grid, int tile_index,
                                                  const std::vector<TilePlane>& planes);
 
+// The planes of a tile of which nothing is known: what the compositor writes where no scene covers a pixel.
+std::vector<Image<float>> EmptyTilePlanes(const MosaicGrid& grid, int tile_index, const std::vector<TilePlane>& planes);
+
 }  // namespace trem

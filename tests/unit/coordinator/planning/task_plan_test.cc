@@ -110,6 +110,50 @@ TEST(TaskPlanTest, ChangesTheKeyWithParametersAndInputsOnly) {
   EXPECT_NE(PlanTask(other_roi, v1::ENHANCE, 0).key(), key);
 }
 
+TEST(TaskPlanTest, PlansKeyAndMemoryWithoutTheWindowsAsWithThem) {
+  JobInputs inputs = MakeInputs();
+  for (const std::string& digest : {std::string(), WindowsDigest(inputs.window_pbs)}) {
+    inputs.window_pbs_digest = digest;
+    for (const v1::TaskKind kind : {v1::INGEST, v1::ENHANCE, v1::ALIGN, v1::COMPOSITE, v1::EXPORT}) {
+      const v1::TaskSpec spec = PlanTask(inputs, kind, 0);
+      EXPECT_EQ(PlanTaskKey(inputs, kind, 0).key, spec.key());
+      EXPECT_EQ(PlanTaskKey(inputs, kind, 0).memory_bytes, spec.memory_bytes());
+    }
+  }
+}
+
+TEST(TaskPlanTest, ChangesTheKeysOfWhatReadsWindowsWhenOneOfThemChangesOrIsAHole) {
+  const JobInputs inputs = MakeInputs();
+  JobInputs other = inputs;
+  other.window_pbs[1] = MakeRef("window.pb", "c");
+  JobInputs hole = inputs;
+  hole.window_pbs[1].Clear();
+  JobInputs swapped = inputs;
+  std::swap(swapped.window_pbs[0], swapped.window_pbs[1]);
+  for (const v1::TaskKind kind : {v1::ALIGN, v1::COMPOSITE, v1::EXPORT}) {
+    std::set<std::string> keys;
+    for (const JobInputs* job : std::initializer_list<const JobInputs*>{&inputs, &other, &hole, &swapped}) {
+      keys.insert(PlanTaskKey(*job, kind, 0).key);
+    }
+    EXPECT_EQ(keys.size(), 4U) << v1::TaskKind_Name(kind);
+  }
+}
+
+TEST(TaskPlanTest, LeavesHolesOutAndNamesTheMissingTiles) {
+  JobInputs inputs = MakeInputs();
+  inputs.window_pbs[0].Clear();
+  inputs.tiles[1].Clear();
+  inputs.holes.emplace_back().set_subject("COMPOSITE tile 1");
+  const std::string b = inputs.window_pbs[1].sha256();
+  EXPECT_EQ(InputDigests(PlanTask(inputs, v1::ALIGN, 0)), (std::vector<std::string>{inputs.manifest.sha256(), b}));
+  const v1::TaskSpec task = PlanTask(inputs, v1::EXPORT, 0);
+  EXPECT_EQ(InputDigests(task), (std::vector<std::string>{inputs.alignment.sha256(), inputs.manifest.sha256(), b, inputs.tiles[0].sha256(),
+                                                          inputs.tiles[2].sha256()}));
+  ASSERT_EQ(task.export_params().missing_tiles_size(), 1);
+  EXPECT_EQ(task.export_params().missing_tiles(0), 1U);
+  EXPECT_EQ(task.export_params().holes(0).subject(), "COMPOSITE tile 1");
+}
+
 TEST(TaskPlanTest, BoundsTheMemoryOfAnEnhanceTaskByItsFormula) {
   const JobInputs inputs = MakeInputs();
   const std::uint64_t frames = inputs.windows[0].frame_end - inputs.windows[0].frame_begin;

@@ -54,8 +54,9 @@ std::vector<Effect> Bench::Wait(TimeMs ms) {
 }
 
 std::vector<Effect> Bench::Hello(const std::string& worker_id, std::vector<Attempt> running, std::uint32_t credit,
-                                 std::uint64_t memory_bytes_max) {
+                                 std::uint64_t memory_bytes_max, const std::string& host) {
   WorkerHelloEvent event;
+  event.host = host;
   event.worker_id = worker_id;
   event.credit = credit;
   event.memory_bytes_max = memory_bytes_max;
@@ -63,8 +64,8 @@ std::vector<Effect> Bench::Hello(const std::string& worker_id, std::vector<Attem
   return Step(event);
 }
 
-std::vector<Effect> Bench::Submit(const std::string& job_id, const std::string& sortie_name) {
-  return Step(SubmitJobEvent{job_id, FakeSortie(sortie_name)});
+std::vector<Effect> Bench::Submit(const std::string& job_id, const std::string& sortie_name, const std::string& user, int priority) {
+  return Step(SubmitJobEvent{job_id, FakeSortie(sortie_name), user, priority});
 }
 
 std::vector<Effect> Bench::Done(const DispatchEffect& dispatch) {
@@ -77,13 +78,32 @@ std::vector<Effect> Bench::Done(const DispatchEffect& dispatch) {
   return Step(event);
 }
 
-std::vector<Effect> Bench::Fail(const DispatchEffect& dispatch, StatusCode code, const std::string& message) {
+std::vector<Effect> Bench::Fail(const DispatchEffect& dispatch, StatusCode code, const std::string& message,
+                                const std::vector<std::string>& bad_artefacts) {
   TaskDoneEvent event;
   event.worker_id = dispatch.worker_id;
   event.attempt = AttemptOf(dispatch);
   event.code = code;
   event.message = message;
+  event.bad_artefacts = bad_artefacts;
   return Step(event);
+}
+
+int Bench::FailUntilGivenUp(DispatchEffect dispatch, StatusCode code, const std::string& message) {
+  for (int times = 1;; ++times) {
+    TREM_CHECK_MSG(times < 1'000, "the task is never given up");
+    std::vector<Effect> effects = Fail(dispatch, code, message);
+    const std::vector<Effect> later = Wait(options.retry_delay_ms_max);
+    effects.insert(effects.end(), later.begin(), later.end());
+    const std::string key = dispatch.task.key();
+    bool again = false;
+    for (const DispatchEffect& next : Only<DispatchEffect>(effects)) {
+      if (next.task.key() != key) continue;
+      dispatch = next;
+      again = true;
+    }
+    if (!again) return times;
+  }
 }
 
 std::vector<Effect> Bench::Progress(const DispatchEffect& dispatch, double fraction) {
@@ -109,6 +129,11 @@ void Bench::Restart(const std::vector<std::string>& forget) {
     const trem::Status status = scheduler.Restore(event);
     TREM_CHECK_MSG(status.ok(), status.ToString());
   }
+}
+
+void Bench::RestartFromSnapshot() {
+  log = scheduler.Snapshot();
+  Restart();
 }
 
 std::string TitleOf(const DispatchEffect& dispatch) {

@@ -38,15 +38,21 @@ class Bench {
   // Advances the clock, then a Tick.
   std::vector<Effect> Wait(TimeMs ms);
   std::vector<Effect> Hello(const std::string& worker_id, std::vector<Attempt> running = {}, std::uint32_t credit = 1,
-                            std::uint64_t memory_bytes_max = 0);
-  std::vector<Effect> Submit(const std::string& job_id, const std::string& sortie_name = "leg");
+                            std::uint64_t memory_bytes_max = 0, const std::string& host = "");
+  std::vector<Effect> Submit(const std::string& job_id, const std::string& sortie_name = "leg", const std::string& user = "",
+                             int priority = 0);
   std::vector<Effect> Done(const DispatchEffect& dispatch);
-  std::vector<Effect> Fail(const DispatchEffect& dispatch, StatusCode code, const std::string& message);
+  std::vector<Effect> Fail(const DispatchEffect& dispatch, StatusCode code, const std::string& message,
+                           const std::vector<std::string>& bad_artefacts = {});
+  // Reports failures of this code, and waits in between, until the task is no longer handed out; returns how often it was.
+  int FailUntilGivenUp(DispatchEffect dispatch, StatusCode code, const std::string& message);
   std::vector<Effect> Progress(const DispatchEffect& dispatch, double fraction = 0.5);
   // Does every task that is dispatched, at once, until nothing is left to do; returns them in order.
   std::vector<DispatchEffect> RunAll(std::vector<Effect> effects);
   // A new scheduler from the log: the coordinator was killed and started again. `forget`: task keys whose artefacts are gone.
   void Restart(const std::vector<std::string>& forget = {});
+  // The same after the log was replaced by the scheduler's snapshot.
+  void RestartFromSnapshot();
   v1::JobStatus Status(const std::string& job_id) const { return *scheduler.JobStatus(job_id); }
 
   SchedulerOptions options;

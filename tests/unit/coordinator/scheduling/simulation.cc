@@ -22,6 +22,8 @@ Simulation::Simulation(std::uint64_t seed) : seed_(seed), rng_({seed, 0x73696d})
   // Faults are far more frequent than in life: the limits must not end the jobs that the checks are about.
   options_.failures_max = 1'000;
   options_.losses_max = 1'000;
+  options_.outages_max = 1'000;
+  options_.hedge_factor = 0.0;
   scheduler_ = Scheduler(options_);
 }
 
@@ -303,7 +305,7 @@ void Simulation::CoordinatorTick() {
 
 // The client's part: it asks until it sees its job.
 void Simulation::Submit(const std::string& job_id) {
-  if (scheduler_.FindSortie(job_id) == nullptr) Feed(SubmitJobEvent{job_id, FakeSortie(submitted_.at(job_id))});
+  if (scheduler_.FindSortie(job_id) == nullptr) Feed(SubmitJobEvent{job_id, FakeSortie(submitted_.at(job_id)), "", 0});
 }
 
 bool Simulation::AllJobsEnded() const {

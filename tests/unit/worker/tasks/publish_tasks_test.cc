@@ -8,6 +8,7 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <set>
 #include <sstream>
 
 #include "mosaic/base/file.h"
@@ -151,7 +152,7 @@ class PublishTasks : public ::testing::Test {
   }
 
   // All tiles, then the export. Fails the test when a task does.
-  v1::TaskResult RunJob() const {
+  v1::TaskResult RunJob(const std::set<std::uint32_t>& missing_tiles = {}) const {
     v1::TaskSpec spec;
     spec.set_kind(v1::EXPORT);
     spec.mutable_sortie()->set_name("a <test> sortie");
@@ -159,6 +160,11 @@ class PublishTasks : public ::testing::Test {
     *spec.add_inputs() = manifest_ref_;
     for (const v1::ArtefactRef& window : windows_) *spec.add_inputs() = window;
     for (std::uint32_t tile = 0; tile < 6; ++tile) {
+      if (missing_tiles.count(tile) > 0) {
+        spec.mutable_export_params()->add_missing_tiles(tile);
+        spec.mutable_export_params()->add_holes()->set_message("tile <" + std::to_string(tile) + "> was given up");
+        continue;
+      }
       const auto result = Composite(tile);
       EXPECT_TRUE(result.ok()) << result.status().message();
       if (!result.ok()) return {};
@@ -315,6 +321,31 @@ TEST_F(PublishTasks, ATileWithoutScenesIsAnEmptyTile) {
   ASSERT_TRUE(mosaic.ok());
   for (const float value : (*mosaic)[0].pixels()) ASSERT_TRUE(std::isnan(value));
   EXPECT_EQ(result.notes(0).code(), "mosaic_empty");
+}
+
+TEST_F(PublishTasks, AMissingTileIsNodataAndTheOthersAreAsEver) {
+  MakeJob(true);
+  const auto whole = ReadFloatBands(Output(RunJob(), "mosaic.tif"), {0}, std::nullopt, 1 << 24);
+  const v1::TaskResult result = RunJob({0, 4});
+  const auto mosaic = ReadFloatBands(Output(result, "mosaic.tif"), {0}, std::nullopt, 1 << 24);
+  const auto quality = ReadFloatBands(Output(result, "mosaic_quality.tif"), {0}, std::nullopt, 1 << 24);
+  ASSERT_TRUE(whole.ok() && mosaic.ok() && quality.ok());
+  int there_before = 0;
+  for (int y = 0; y < 600; ++y) {
+    for (int x = 0; x < 900; ++x) {
+      const int tile = y / 400 * 3 + x / 400;
+      const float value = (*mosaic)[0].at(x, y), before = (*whole)[0].at(x, y);
+      if (tile == 0 || tile == 4) {
+        there_before += std::isnan(before) ? 0 : 1;
+        ASSERT_TRUE(std::isnan(value)) << x << " " << y;
+        ASSERT_EQ((*quality)[0].at(x, y), 0.0f) << x << " " << y;
+      } else {
+        ASSERT_TRUE(value == before || (std::isnan(value) && std::isnan(before))) << x << " " << y;
+      }
+    }
+  }
+  EXPECT_GT(there_before, 100'000);
+  EXPECT_NE(Text(result, "mosaic_report.html").find("tile &lt;4&gt; was given up"), std::string::npos);
 }
 
 TEST_F(PublishTasks, BrokenInputsAreNamed) {
