@@ -33,8 +33,10 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kGetJob:
     case v1::Envelope::kListJobs:
     case v1::Envelope::kCancelJob:
+    case v1::Envelope::kRetryJob:
     case v1::Envelope::kListWorkers:
       return asks;
+    case v1::Envelope::kDrainWorker:
     case v1::Envelope::kShutdown:
       return role == v1::ADMIN;
     case v1::Envelope::kHeartbeat:

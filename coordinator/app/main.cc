@@ -128,10 +128,14 @@ Status Serve(RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monit
   while (!stop_requested && !shell->shutdown_requested()) {
     bool drained = false;
     for (int i = 0; i < kBatchMax && !drained; ++i) {
-      const auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 ? kTickIntervalMs : 0));
+      auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 ? kTickIntervalMs : 0));
       drained = !incoming.has_value();
       if (drained) break;
       const TimeMs arrived_ms = NowMs();
+      // With keys, whose share of the workers a job uses is not for the client to say.
+      if (incoming->envelope.ok() && incoming->envelope->has_submit_job() && !incoming->user.empty()) {
+        incoming->envelope->mutable_submit_job()->set_user(incoming->user);
+      }
       if (const Status admitted = gate->Admit(arrived_ms, *incoming); admitted.ok()) {
         shell->Receive(arrived_ms, incoming->peer, *incoming->envelope);
       } else if (gate->MayAnswer(arrived_ms, incoming->peer)) {

@@ -95,7 +95,7 @@ void Scheduler::On(const WorkerHelloEvent& event) {
     const TaskIndex index = FindTask(key);
     const Lease* lease = FindLease(index, number);
     const bool is_its_own = lease != nullptr && (lease->worker_id.empty() || lease->worker_id == event.worker_id);
-    const bool is_free = index != kNoTask && tasks_[index].newest_attempt == number &&
+    const bool is_free = index != kNoTask && (tasks_[index].newest_attempt == number || TREM_PLANTED(kAdoptsOldAttempts)) &&
                          (tasks_[index].state == TaskState::kReady || tasks_[index].state == TaskState::kDelayed);
     if (is_its_own || is_free) {
       Adopt(index, number, event.worker_id);
@@ -111,7 +111,7 @@ void Scheduler::On(const WorkerGoodbyeEvent& event) { TakeBackAll(event.worker_i
 
 void Scheduler::On(const DrainWorkerEvent& event) {
   if (workers_.count(event.worker_id) == 0) return;
-  ChangeWorker(event.worker_id, [](Worker& worker) { worker.is_draining = true; });
+  ChangeWorker(event.worker_id, [](Worker& worker) { worker.is_draining = !TREM_PLANTED(kServesDraining); });
   effects_.push_back(DrainWorkerEffect{event.worker_id});
 }
 
@@ -146,12 +146,13 @@ void Scheduler::On(const ProgressEvent& event) {
 }
 
 void Scheduler::On(const TaskDoneEvent& event) {
+  if (TREM_PLANTED(kAckBeforeLog)) effects_.push_back(AckEffect{event.worker_id, event.attempt});
   TakeResult(event);
   effects_.push_back(AckEffect{event.worker_id, event.attempt});  // Behind what TakeResult has to make durable.
 }
 
 void Scheduler::On(const TickEvent&) {
-  while (!lease_ends_.empty() && std::get<0>(*lease_ends_.begin()) <= now_ms_) {
+  while (!lease_ends_.empty() && !TREM_PLANTED(kEndlessLease) && std::get<0>(*lease_ends_.begin()) <= now_ms_) {
     const auto [end_ms, index, attempt] = *lease_ends_.begin();
     const std::string worker_id = FindLease(index, attempt)->worker_id;
     if (!worker_id.empty()) {

@@ -16,6 +16,7 @@
 
 #include "coordinator/scheduling/events.h"
 #include "coordinator/scheduling/job_graph.h"
+#include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/ready_queue.h"
 #include "coordinator/scheduling/scheduler_options.h"
 #include "mosaic/base/status.h"
@@ -226,7 +227,8 @@ class Scheduler {
     Worker& worker = workers_.at(worker_id);
     idle_.erase({FreeMemory(worker), worker.slots.size(), worker_id});
     change(worker);
-    if (!worker.is_draining && worker.slots.size() < worker.credit) idle_.insert({FreeMemory(worker), worker.slots.size(), worker_id});
+    if (!worker.is_draining && worker.slots.size() < worker.credit + (TREM_PLANTED(kIgnoresCredit) ? 1 : 0))
+      idle_.insert({FreeMemory(worker), worker.slots.size(), worker_id});
   }
   static std::uint64_t MemoryLimit(std::uint64_t memory_bytes_max) { return memory_bytes_max == 0 ? ~std::uint64_t{0} : memory_bytes_max; }
   static std::uint64_t FreeMemory(const Worker& worker);

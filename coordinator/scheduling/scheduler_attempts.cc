@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/planning/task_plan.h"
+#include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/scheduler.h"
 #include "mosaic/base/check.h"
 
@@ -22,7 +23,9 @@ void Scheduler::TakeResult(const TaskDoneEvent& event) {
   const std::string& key = event.attempt.task_key;
   if (const auto worker = workers_.find(event.worker_id); worker != workers_.end()) {
     const auto slot = worker->second.slots.find(key);
-    if (slot != worker->second.slots.end() && slot->second.attempt <= event.attempt.number) FreeSlot(event.worker_id, key);
+    if (slot != worker->second.slots.end() && slot->second.attempt <= event.attempt.number && !TREM_PLANTED(kLeakedSlot)) {
+      FreeSlot(event.worker_id, key);
+    }
   }
   const TaskIndex index = FindTask(key);
   if (index == kNoTask) return;
@@ -32,7 +35,7 @@ void Scheduler::TakeResult(const TaskDoneEvent& event) {
     return;
   }
   const bool is_leased = FindLease(index, event.attempt.number) != nullptr;
-  if (task.state == TaskState::kIdle || (!is_leased && task.newest_attempt != event.attempt.number)) return;
+  if (task.state == TaskState::kIdle || (!is_leased && task.newest_attempt != event.attempt.number && !TREM_PLANTED(kNoFence))) return;
   if (event.code != StatusCode::kOk) {
     if (is_leased) OnFailure(index, event);
     return;
@@ -53,11 +56,13 @@ void Scheduler::TakeResult(const TaskDoneEvent& event) {
   *committed->mutable_result() = event.result;
   committed->set_elapsed_ms(event.elapsed_ms);
   committed->set_peak_memory_bytes(event.peak_memory_bytes);
-  Append(std::move(log));
+  if (!TREM_PLANTED(kUnloggedResult)) Append(std::move(log));
   Commit(index, task.wanted_by.front().place.kind, {event.result, event.elapsed_ms, event.peak_memory_bytes});
 }
 
 bool Scheduler::IsHopeless(const Trouble& trouble) const {
+  if (TREM_PLANTED(kNeverGivesUp)) return false;
+  if (TREM_PLANTED(kGivesUpAtOnce)) return true;
   if (trouble.outages >= options_.outages_max || trouble.failures >= 2 * options_.failures_max) return true;
   const bool nobody_else = trouble.failed_on.size() >= 2 || workers_.size() < 2;
   return trouble.failures >= options_.failures_max && nobody_else;
@@ -104,6 +109,7 @@ void Scheduler::Lose(TaskIndex index, std::uint32_t attempt, bool counts, const 
   }
   for (const JobPlace& place : task.wanted_by) jobs_.at(place.job).graph->AddRetry();
   effects_.push_back(LogEffect{TitleOf(task) + " goes to another worker: " + reason});
+  if (TREM_PLANTED(kForgottenExpiry) && counts) return;
   Enqueue(index);
 }
 
@@ -197,7 +203,7 @@ void Scheduler::LeaveQueues(TaskIndex index, const std::string& reason) {
         const auto slot = worker == workers_.end() ? std::map<std::string, Slot>::iterator{} : worker->second.slots.find(task.key);
         const bool holds = worker != workers_.end() && slot != worker->second.slots.end() && slot->second.attempt == lease.attempt;
         EndLease(index, lease.attempt);
-        if (holds) effects_.push_back(CancelTaskEffect{lease.worker_id, {task.key, lease.attempt}, reason});
+        if (holds && !TREM_PLANTED(kSilentWinner)) effects_.push_back(CancelTaskEffect{lease.worker_id, {task.key, lease.attempt}, reason});
       }
       break;
     }
@@ -215,7 +221,8 @@ void Scheduler::Revoke(const std::string& worker_id, const Attempt& attempt, con
   if (worker == workers_.end()) return;
   const auto slot = worker->second.slots.find(attempt.task_key);
   if (slot != worker->second.slots.end() && slot->second.attempt > attempt.number) return;
-  const std::uint64_t memory_bytes = slot == worker->second.slots.end() ? 0 : slot->second.memory_bytes;
+  const TaskIndex index = FindTask(attempt.task_key);
+  const std::uint64_t memory_bytes = index == kNoTask ? 0 : tasks_[index].memory_bytes;
   SetSlot(worker_id, attempt.task_key, {attempt.number, false, now_ms_ + options_.lease_ms, memory_bytes});
 }
 

@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <limits>
 
+#include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/scheduler.h"
 #include "mosaic/base/check.h"
 
@@ -41,7 +42,7 @@ void Scheduler::EnterOrder(const std::string& name, User* user) {
 }
 
 std::uint64_t Scheduler::FreeMemory(const Worker& worker) {
-  if (worker.memory_bytes_max == 0) return MemoryLimit(0);
+  if (worker.memory_bytes_max == 0 || TREM_PLANTED(kIgnoresMemory)) return MemoryLimit(0);
   std::uint64_t used = 0;
   for (const auto& [key, slot] : worker.slots) used += slot.memory_bytes;
   return worker.memory_bytes_max - std::min(used, worker.memory_bytes_max);
@@ -75,7 +76,7 @@ void Scheduler::Delay(TaskIndex index, std::uint64_t delay_ms) {
   Task& task = tasks_[index];
   task.state = TaskState::kDelayed;
   task.until_ms = now_ms_ + static_cast<TimeMs>(delay_ms);
-  delayed_.insert({task.until_ms, index});
+  if (!TREM_PLANTED(kForgottenDelay)) delayed_.insert({task.until_ms, index});
 }
 
 // ---- Placement --------------------------------------------------------------------------------------------------------------------
@@ -147,7 +148,7 @@ void Scheduler::DispatchReady() {
 
 void Scheduler::Dispatch(const std::string& worker_id, TaskIndex index, bool is_hedge) {
   Task& task = tasks_[index];
-  const std::uint32_t number = ++task.newest_attempt;
+  const std::uint32_t number = TREM_PLANTED(kReusedNumber) && task.newest_attempt > 0 ? task.newest_attempt : ++task.newest_attempt;
   v1::LogEvent log;
   log.mutable_attempt_started()->set_task_key(task.key);
   log.mutable_attempt_started()->set_attempt(number);
@@ -197,7 +198,7 @@ void Scheduler::HedgeStragglers() {
     if (chosen == nullptr) continue;
     effects_.push_back(LogEffect{TitleOf(task) + " runs for " + std::to_string(now_ms_ - started_ms) +
                                  " ms, others took a fraction of that: a second attempt begins beside it"});
-    alone_.erase({started_ms, index});
+    if (!TREM_PLANTED(kEndlessHedges)) alone_.erase({started_ms, index});
     Dispatch(std::string(*chosen), index, true);
   }
 }

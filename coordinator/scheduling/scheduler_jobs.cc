@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/planning/task_plan.h"
+#include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/scheduler.h"
 #include "mosaic/base/check.h"
 
@@ -75,14 +76,14 @@ void Scheduler::Want(JobNumber number, const PlannedTask& planned, Completions* 
   std::vector<TaskIndex>& stage = job.tasks[static_cast<std::size_t>(planned.place.kind) - 1];
   if (stage.size() <= planned.place.index) stage.resize(planned.place.index + 1, kNoTask);
   stage[planned.place.index] = index;
+  task.memory_bytes = planned.memory_bytes;  // Of a finished task too: its result may turn out to be damaged.
+  if (task.wanted_by.empty()) task.locality = planned.locality;
   if (task.state == TaskState::kFinished) {
     finished_already->push_back({place, index});
     return;
   }
-  task.memory_bytes = planned.memory_bytes;
   ++job.memory_wanted[planned.memory_bytes];
   if (task.wanted_by.empty()) {
-    task.locality = planned.locality;
     task.trouble.reset();
     task.repairs = 0;
     task.wanted_by.push_back(place);
@@ -207,7 +208,7 @@ void Scheduler::Invalidate(TaskIndex index) {
   }
   if (task.wanted_by.empty()) {
     task.damaged.reset();
-  } else {
+  } else if (!TREM_PLANTED(kForgottenRepair)) {
     Enqueue(index);
   }
 }

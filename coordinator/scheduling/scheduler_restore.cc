@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "coordinator/planning/task_plan.h"
+#include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/scheduler.h"
 #include "mosaic/base/check.h"
 
@@ -42,6 +43,7 @@ Status Scheduler::Restore(const v1::LogEvent& event) {
       break;
     }
     case v1::LogEvent::kAttemptStarted: {
+      if (TREM_PLANTED(kForgetsNumbersOnRestore)) break;
       Task& task = tasks_[FindOrAddTask(event.attempt_started().task_key())];
       task.newest_attempt = std::max(task.newest_attempt, event.attempt_started().attempt());
       task.was_handed_out = task.state != TaskState::kFinished;
@@ -84,6 +86,8 @@ std::vector<v1::LogEvent> Scheduler::Snapshot() const {
   std::vector<v1::LogEvent> log;
   for (const Task& task : tasks_) {
     if (task.newest_attempt == 0 && task.finished == nullptr) continue;
+    if (task.finished == nullptr && TREM_PLANTED(kForgetsNumbersInSnapshot)) continue;
+    if (task.finished != nullptr && TREM_PLANTED(kForgetsResultsInSnapshot)) continue;
     if (task.finished == nullptr) {
       v1::AttemptStarted* started = log.emplace_back().mutable_attempt_started();
       started->set_task_key(task.key);

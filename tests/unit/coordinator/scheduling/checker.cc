@@ -76,12 +76,11 @@ void Checker::TakeEvent(const Event& event) {
   const std::string& key = done_->attempt.task_key;
   if (const auto worker = workers_.find(done_->worker_id); worker != workers_.end()) worker->second.held.erase(key);
   const auto holders = live_.find(key);
-  if (holders == live_.end() || holders->second.erase(done_->attempt.number) == 0) return;
-  if (done_->code == StatusCode::kOk) {
-    done_was_due_ = committed_.count(key) == 0;
-  } else if (done_->code != StatusCode::kCancelled && done_->bad_artefacts.empty()) {
-    ++failures_[key];
-  }
+  const bool was_live = holders != live_.end() && holders->second.erase(done_->attempt.number) > 0;
+  // The newest one may be leased to whoever held it before a restart.
+  const bool counts = was_live || newest_[key] == done_->attempt.number;
+  if (done_->code != StatusCode::kOk && done_->code != StatusCode::kCancelled && counts) ++failures_[key];
+  if (done_->code == StatusCode::kOk && was_live) done_was_due_ = committed_.count(key) == 0;
 }
 
 void Checker::TakeEffect(const Effect& effect) {
@@ -144,7 +143,6 @@ void Checker::OnAppend(const v1::LogEvent& event) {
   }
   if (event.has_result_differed()) Complain("equal results were reported as different");
   if (event.has_task_invalidated()) committed_.erase(event.task_invalidated().task_key());
-  if (event.has_job_submitted()) failures_.clear();
   if (event.has_task_quarantined()) {
     const std::string& key = event.task_quarantined().task_key();
     if (FailuresOf(key) < options_.failures_max) {

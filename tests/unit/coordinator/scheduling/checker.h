@@ -23,7 +23,7 @@ class Checker {
   void Restart();
   // The log is all that the next life knows: what was acknowledged has to be in it.
   void CheckLog(const std::vector<v1::LogEvent>& log);
-  // How often a worker has reported a failure of the task's current leases.
+  // How often a worker that had the lease has reported a failure of the task.
   std::uint32_t FailuresOf(const std::string& key) const;
   std::vector<std::string> TakeViolations() { return std::exchange(violations_, {}); }
 
@@ -54,7 +54,7 @@ class Checker {
   std::map<std::string, std::map<std::uint32_t, Holder>> live_;  // Key -> attempt -> holder, in this life.
   std::set<std::string> committed_;
   std::set<std::pair<std::string, std::uint32_t>> hedges_;  // Written down as second attempts.
-  std::map<std::string, std::uint32_t> failures_;           // Key -> since it was last taken up.
+  std::map<std::string, std::uint32_t> failures_;           // Key -> ever.
   std::map<std::string, WorkerRecord> workers_;             // In this life.
   const TaskDoneEvent* done_ = nullptr;                     // The event of this step, when it is one.
   bool done_was_due_ = false;                               // Its result had to be taken.
