@@ -10,6 +10,10 @@
 //   iterate K   8 planes (S, S before, W, Z, majoriser read; S, S before, B S written); K (4 (3 r + 1) + 17) + 2 (3 r + 1):
 //               two B, 3 extrapolation, 2 residual, 12 prior and step, per iteration; one B for the prediction
 //   update      splat + seen + iterate
+//   fill        1 plane (what has been filled); nothing is computed where every cell has been measured
+//   residual    4 planes of pixels (frame, predicted, value, variance) and 2 of cells (prediction and seen); 40 FLOP a pixel
+//   weight      a third of 2 planes (S, seen); 9 FLOP a cell of it
+//   normal      2 planes (prediction, seen), 1 of pixels; 210 FLOP a pixel: one evaluation of Gauss-Newton's equations with all pixels
 // Minima and maxima, address arithmetic and what tiles recompute of their neighbours are not counted.
 #include <benchmark/benchmark.h>
 
@@ -19,6 +23,10 @@
 
 #include "mosaic/base/rng.h"
 #include "tests/bench/roofline.h"
+#include "worker/registration/normal_equations.h"
+#include "worker/tre/automatic_regularisation.h"
+#include "worker/tre/fill_unseen.h"
+#include "worker/tre/frame_residual.h"
 #include "worker/tre/information_update.h"
 
 namespace trem {
@@ -39,15 +47,22 @@ struct Fixture {
   Roi region;
   View view;
   Image<float> frame;
+  int threads;
   InformationUpdate update;
   SceneBuffer buffer;
+  FrameInput input;
+  Image<float> continued;
+  FrameResidual residual;
+  AutomaticRegularisation regularisation;
 
-  Fixture(const Size& size, int threads)
+  Fixture(const Size& size, int thread_count)
       : roi{0, 0, size.width, size.height},
         region{-Margin(), -Margin(), kRatio * size.width + Margin(), kRatio * size.height + Margin()},
         frame(size.width, size.height),
-        update(Blur(psf), Options(threads)),
-        buffer(region) {
+        threads(thread_count),
+        update(Blur(psf), Options(thread_count)),
+        buffer(region),
+        regularisation(psf, StructurePriorKind::kHuberTv, kRatio) {
     Rng rng({1});
     for (float& p : frame.pixels()) p = static_cast<float>(100.0 + 20.0 * rng.Normal());
     for (float& s : buffer.scene.pixels()) s = static_cast<float>(100.0 + 5.0 * rng.Normal());
@@ -55,6 +70,8 @@ struct Fixture {
     view.scene_from_sensor.linear << 3.0, 0.02, -0.02, 3.0;
     view.scene_from_sensor.offset = {0.4, 4.3};
     update.Predict(region, &buffer);
+    input.pixels = frame;
+    Fill();
     Splat();
     Seen();
   }
@@ -69,6 +86,14 @@ struct Fixture {
   void Splat() { update.AddFrame({&frame, roi, 2.0}, view, region, &buffer); }
   void Seen() { update.UpdateSeen(region, kRatio, &buffer); }
   void Predict() { update.Predict(region, &buffer); }
+  void Fill() { FillUnseen(input, roi, view, region, &buffer, &continued); }
+  void Residual() { residual.Compute({&frame, roi, 2.0}, view, buffer, threads); }
+  void Weight() { benchmark::DoNotOptimize(regularisation.Weight(region, buffer, 2.0)); }
+  void Normal() {
+    const Reference reference{&buffer.prediction, &buffer.seen, buffer.extent.x0, buffer.extent.y0, kRatio, 0.75F};
+    const RegistrationLevel level{&frame, nullptr, &buffer.prediction, &buffer.seen, 1.0, 1.0, 1, threads};
+    benchmark::DoNotOptimize(AccumulateNormal(level, roi, reference, view, ViewModel::kAffine, 2.0, 3.0, nullptr));
+  }
   void Iterate(int iterations) { update.Iterate(region, iterations, kLambda, &buffer); }
 
   double cells() const { return static_cast<double>(region.area()); }
@@ -78,6 +103,11 @@ struct Fixture {
     return {cells() * (blur_flops() + 2.0 * (3.0 * kRatio - 2.0) + 4.0 * (kRatio / 2) + 2.0), 3 * 4 * cells()};
   }
   bench::Work PredictWork() const { return {cells() * blur_flops(), 2 * 4 * cells()}; }
+  double pixels() const { return static_cast<double>(roi.area()); }
+  bench::Work FillWork() const { return {0.0, 4 * cells()}; }
+  bench::Work ResidualWork() const { return {40.0 * pixels(), 4 * (4 * pixels() + 2 * cells())}; }
+  bench::Work WeightWork() const { return {9.0 * cells() / 3, 4 * 2 * cells() / 3}; }
+  bench::Work NormalWork() const { return {210.0 * pixels(), 4 * (pixels() + 2 * cells())}; }
   bench::Work IterateWork(int iterations) const {
     return {cells() * (iterations * (2.0 * blur_flops() + 17.0) + blur_flops()), 8 * 4 * cells()};
   }
@@ -128,6 +158,16 @@ void RegisterAll() {
         "iterate_K2", size, 1, [](Fixture* f) { f->Iterate(2); }, [](const Fixture& f) { return f.IterateWork(2); });
     Register(
         "iterate_K4", size, 1, [](Fixture* f) { f->Iterate(4); }, [](const Fixture& f) { return f.IterateWork(4); });
+    Register(
+        "fill", size, 1, [](Fixture* f) { f->Fill(); }, [](const Fixture& f) { return f.FillWork(); });
+    Register(
+        "residual", size, 1, [](Fixture* f) { f->Residual(); }, [](const Fixture& f) { return f.ResidualWork(); });
+    Register(
+        "weight", size, 1, [](Fixture* f) { f->Weight(); }, [](const Fixture& f) { return f.WeightWork(); });
+    for (const int threads : {1, 2}) {
+      Register(
+          "normal", size, threads, [](Fixture* f) { f->Normal(); }, [](const Fixture& f) { return f.NormalWork(); });
+    }
     for (const int threads : {1, 2}) {
       const Stage update = [](Fixture* f) {
         f->Splat();

@@ -25,11 +25,8 @@ constexpr double kKept = 0.9;
 constexpr double kLogFactorMax = 3.0;
 constexpr double kLogStepMax = 0.4;
 constexpr int kProbeIterations = 8;
-// Frames at the start that all make a probe; then every third does, and when the weight has long settled every twelfth.
-constexpr int kProbesDense = 6;
-constexpr int kProbesOften = 48;
+constexpr int kProbesDense = 6;  // Frames at the start that all make a probe; later every third does.
 constexpr int kProbeEvery = 3;
-constexpr int kProbeSeldom = 12;
 // A difference of scale below this part of sigma is noise: bounds lambda on ground without any texture.
 constexpr double kScaleMin = 0.1;
 constexpr float kSeenMin = 0.75F;
@@ -108,7 +105,7 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   probe_.reset();
   if (!learn_) return;
   const int turn = probe_count_++;
-  if (turn >= kProbesDense && turn % (turn < kProbesOften ? kProbeEvery : kProbeSeldom) != 0) return;
+  if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
   // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over
   // what the ROI will see again.
   const int rim = psf_.radius() + 3 * ratio_;

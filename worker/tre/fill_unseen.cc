@@ -33,13 +33,14 @@ class Filler {
     const float* filled = buffer_.filled.row(y);
     for (int x = begin; x < end;) {
       const int first = x + FindUnlike(filled + x, SceneBuffer::kMeasured, end - x);
-      const int last = std::min(first + kGroup, end);
+      x = std::min(first + kGroup, end);
+      int last = x;
+      while (last > first && filled[last - 1] == SceneBuffer::kMeasured) --last;
       if (first < last && !Continued(filled, first, last, y)) {
         for (int cell = first; cell < last; ++cell) {
           if (filled[cell] != SceneBuffer::kMeasured) FillCell(cell, y);
         }
       }
-      x = last;
     }
   }
 

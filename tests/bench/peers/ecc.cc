@@ -1,8 +1,9 @@
 #include "tests/bench/peers/ecc.h"
 
-#include <chrono>
 #include <opencv2/core.hpp>
 #include <opencv2/video/tracking.hpp>
+
+#include "tests/bench/cpu_clock.h"
 
 namespace trem::bench {
 namespace {
@@ -17,7 +18,7 @@ EccAnswer RegisterEcc(const FrameInput& before, const FrameInput& now, const Ecc
   cv::Mat warp = (cv::Mat_<float>(2, 3) << start.linear(0, 0), start.linear(0, 1), start.offset.x(), start.linear(1, 0), start.linear(1, 1),
                   start.offset.y());
   const cv::TermCriteria criteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, settings.iterations_max, settings.eps);
-  const auto begin = std::chrono::steady_clock::now();
+  const double begin = ThreadCpuMs();
   EccAnswer answer;
   answer.previous_from_current = start;
   try {
@@ -25,7 +26,7 @@ EccAnswer RegisterEcc(const FrameInput& before, const FrameInput& now, const Ecc
   } catch (const cv::Exception&) {
     return answer;
   }
-  answer.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  answer.seconds = 1e-3 * (ThreadCpuMs() - begin);
   answer.previous_from_current.linear << warp.at<float>(0, 0), warp.at<float>(0, 1), warp.at<float>(1, 0), warp.at<float>(1, 1);
   answer.previous_from_current.offset << warp.at<float>(0, 2), warp.at<float>(1, 2);
   return answer;

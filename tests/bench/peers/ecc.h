@@ -6,7 +6,7 @@ namespace trem::bench {
 
 struct EccAnswer {
   Affine previous_from_current;
-  double seconds = 0.0;
+  double seconds = 0.0;  // CPU time of the calling thread.
 };
 
 // When OpenCV's method stops, and its smoothing of both images (side of the Gaussian kernel; 1: none).
