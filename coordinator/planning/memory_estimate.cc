@@ -1,11 +1,13 @@
 #include "coordinator/planning/memory_estimate.h"
 
+#include <algorithm>
+
 namespace trem {
 namespace {
 
 constexpr std::uint64_t kMebibyte = 1ULL << 20;
 constexpr std::uint64_t kFrameBytesPerPixel = 40;
-constexpr std::uint64_t kCellBytes = 60;
+constexpr std::uint64_t kCellBytes = 120;  // The scene's planes, and once more those of the one that is handed out.
 constexpr std::uint64_t kHeldBytesPerPixel = 8;
 constexpr std::uint64_t kCanvasFactor = 2;
 constexpr std::uint64_t kLayersMax = 64;
@@ -22,9 +24,13 @@ std::uint64_t EnhanceMemoryBytes(const v1::Sortie& sortie, std::uint32_t width_p
   const std::uint64_t frame_bytes = static_cast<std::uint64_t>(width_px) * height_px * kFrameBytesPerPixel;
   const std::uint64_t frames = window.frame_end - window.frame_begin;
   const std::uint64_t held_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * frames * kHeldBytesPerPixel;
-  // LANDWEBER keeps the pixels and weights of its window's frames once more.
-  const std::uint64_t kept_frames = sortie.tre().update() == v1::LANDWEBER ? sortie.tre().landweber_window() : 0;
-  const std::uint64_t kept_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * 8 * kept_frames;
+  // The schemes keep pixels and weights of frames once more: LANDWEBER its window's, INFORMATION all up to a bound (KeptFrames::kBytesMax).
+  std::uint64_t kept_bytes = 0;
+  const std::uint64_t frame_kept_bytes = static_cast<std::uint64_t>(window.roi_in_sensor.area()) * 8;
+  const v1::UpdateScheme update = sortie.tre().update();
+  if (update == v1::LANDWEBER) kept_bytes = frame_kept_bytes * sortie.tre().landweber_window();
+  if (update != v1::LANDWEBER && update != v1::POINTWISE)
+    kept_bytes = std::min(frame_kept_bytes * frames, 64 * kMebibyte + frame_kept_bytes);
   return RoundUp(kProcessBytes + cells * kCanvasFactor * kCellBytes + held_bytes + frame_bytes + kept_bytes);
 }
 

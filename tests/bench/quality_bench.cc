@@ -13,14 +13,13 @@
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <cstdio>
-#include <map>
 #include <string>
 #include <vector>
 
 #include "tests/bench/peers/engine_peer.h"
+#include "tests/bench/peers/quality_scenes.h"
 #include "tests/bench/peers/tuned_map.h"
 #include "tests/bench/peers/wiener.h"
-#include "worker/simulate/truth.h"
 #ifdef TREM_BENCH_SUPERRES
 #include "tests/bench/peers/btv_l1.h"
 #endif
@@ -29,24 +28,13 @@ namespace trem::bench {
 namespace {
 
 struct Settings {
-  std::string truth;
+  SceneSettings scenes;
   int seeds = 3;
   std::vector<int> frames = {30};
   int batch_seeds = 1;
   bool skip_btv = false;
   bool tune_btv = false;
-  int roi_px = 151;
-  double noise_sigma = 2.0;
-  double psf_sigma_px = 0.6;
 };
-
-// Upper left corners of the parts of the photograph that are used, for a photograph like the shared sample data's brighton_park.jpg.
-struct Crop {
-  const char* name;
-  int x;
-  int y;
-};
-constexpr Crop kCrops[] = {{"trees", 150, 500}, {"trees, shadow and road", 1250, 400}, {"cars and gravel", 2212, 900}};
 
 // PSNR of one method on one kind of scene, over the seeds.
 struct Series {
@@ -92,39 +80,6 @@ constexpr const char* kMethodNames[] = {"bicubic, one frame",
                                         "the same, filtered like the truth"};
 
 using Table = std::array<Series, kMethodCount>;
-
-testing::SequenceOptions SequenceOf(const Settings& s, int frames, int seed) {
-  testing::SequenceOptions options;
-  options.motion = testing::CameraMotion::kDwell;
-  options.frame_count = frames;
-  options.roi_px = s.roi_px;
-  options.speed_px = 0.04;
-  options.noise_sigma = s.noise_sigma;
-  options.psf_sigma_px = s.psf_sigma_px;
-  options.fill_factor = 0.9;
-  options.seed = static_cast<std::uint64_t>(seed);
-  return options;
-}
-
-BenchScene Procedural(const Settings& s, int frames, int seed) {
-  const testing::SequenceOptions options = SequenceOf(s, frames, seed);
-  constexpr int kBoards = 4;
-  return MakeBenchScene("procedural", false,
-                        ProceduralTerrain(testing::TruthWidth(options), testing::TruthHeight(options), options.seed, kBoards), options);
-}
-
-Result<BenchScene> Natural(const Settings& s, const Image<float>& photograph, const Crop& crop, int frames, int seed) {
-  const testing::SequenceOptions options = SequenceOf(s, frames, seed);
-  const int width = testing::TruthWidth(options);
-  const int height = testing::TruthHeight(options);
-  if (crop.x + width > photograph.width() || crop.y + height > photograph.height()) {
-    return InvalidInput(fmt::format("{}: {} x {} pixels; the crop \"{}\" needs {} x {} from ({}, {})", s.truth, photograph.width(),
-                                    photograph.height(), crop.name, width, height, crop.x, crop.y));
-  }
-  Image<float> truth(width, height);
-  for (int y = 0; y < height; ++y) std::copy_n(photograph.row(crop.y + y) + crop.x, width, truth.row(y));
-  return MakeBenchScene(crop.name, true, std::move(truth), options);
-}
 
 #ifdef TREM_BENCH_SUPERRES
 // Its output pixel 3 u lies on the pixel u itself, so no shift is expected; half a pixel either way is searched all the same.
@@ -238,22 +193,20 @@ void PrintPromise(const std::vector<std::pair<std::string, Table>>& tables, Meth
              kMethodNames[peer], smallest, at_least, smallest >= at_least ? "met" : "NOT MET", aim, smallest >= aim ? "met" : "not met");
 }
 
-Status RunFrames(const Settings& s, const Image<float>& photograph, int frames) {
+Status RunFrames(const Settings& s, int frames) {
   std::vector<std::pair<std::string, Table>> tables;
-  tables.emplace_back("procedural", Table{});
-  for (int seed = 1; seed <= s.seeds; ++seed) TREM_RETURN_IF_ERROR(RunScene(s, Procedural(s, frames, seed), &tables[0].second));
-  if (!photograph.empty()) {
-    for (const Crop& crop : kCrops) {
-      tables.emplace_back(crop.name, Table{});
-      for (int seed = 1; seed <= s.seeds; ++seed) {
-        TREM_ASSIGN_OR_RETURN(const BenchScene scene, Natural(s, photograph, crop, frames, seed));
-        TREM_RETURN_IF_ERROR(RunScene(s, scene, &tables.back().second));
-      }
-    }
+  SceneSettings scenes = s.scenes;
+  scenes.frames = frames;
+  for (int seed = 1; seed <= s.seeds; ++seed) {
+    std::size_t next = 0;
+    TREM_RETURN_IF_ERROR(ForEachScene(scenes, seed, [&](const BenchScene& scene) {
+      if (next == tables.size()) tables.emplace_back(scene.name, Table{});
+      return RunScene(s, scene, &tables[next++].second);
+    }));
   }
   if (s.tune_btv) return {};
-  fmt::print("\n{} frames of {} x {} px, 3:1, PSF Gaussian {} px and box 0.9 px, noise {} of 255, {} seeds\n", frames, s.roi_px, s.roi_px,
-             s.psf_sigma_px, s.noise_sigma, s.seeds);
+  fmt::print("\n{} frames of {} x {} px, 3:1, PSF Gaussian {} px and box 0.9 px, noise {} of 255, {} seeds\n", frames, scenes.roi_px,
+             scenes.roi_px, scenes.psf_sigma_px, scenes.noise_sigma, s.seeds);
   PrintTables(tables);
   if (frames == 30) {
     PrintPromise(tables, kBicubic, 4.5, 5.5, false);
@@ -269,13 +222,8 @@ Status RunFrames(const Settings& s, const Image<float>& photograph, int frames) 
 }
 
 Status Run(const Settings& s) {
-  Image<float> photograph;
-  if (!s.truth.empty()) {
-    TREM_ASSIGN_OR_RETURN(photograph, ReadGrey(s.truth));
-  } else {
-    fmt::print("without --truth: the procedural scene only\n");
-  }
-  for (const int frames : s.frames) TREM_RETURN_IF_ERROR(RunFrames(s, photograph, frames));
+  if (s.scenes.truth.empty()) fmt::print("without --truth: the procedural scene only\n");
+  for (const int frames : s.frames) TREM_RETURN_IF_ERROR(RunFrames(s, frames));
   return {};
 }
 
@@ -285,12 +233,9 @@ Status Run(const Settings& s) {
 int main(int argc, char** argv) {
   trem::bench::Settings settings;
   CLI::App app("Quality of the engine beside its peers, on scenes with known truth");
-  app.add_option("--truth", settings.truth, "Photograph whose crops are flown over, too (brighton_park.jpg of the shared sample data)");
+  settings.scenes.Declare(&app);
   app.add_option("--seeds", settings.seeds, "Repetitions with other noise, motion and procedural ground")->check(CLI::Range(1, 100));
   app.add_option("--frames", settings.frames, "Numbers of frames")->check(CLI::Range(1, 1000));
-  app.add_option("--noise", settings.noise_sigma, "Grey levels of 255")->check(CLI::Range(0.1, 50.0));
-  app.add_option("--psf", settings.psf_sigma_px, "Gaussian part of the PSF, sensor pixels")->check(CLI::Range(0.3, 2.0));
-  app.add_option("--roi", settings.roi_px, "Side of the ROI, sensor pixels")->check(CLI::Range(41, 400));
   app.add_option("--batch-seeds", settings.batch_seeds, "Seeds for which the batch scene is computed, too (a minute each)");
   app.add_flag("--skip-btv", settings.skip_btv, "Leave out OpenCV's method, which takes seconds a frame");
   app.add_flag("--tune-btv", settings.tune_btv, "Only print OpenCV's method over a grid of its settings");

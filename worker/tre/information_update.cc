@@ -251,6 +251,17 @@ void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda,
   }
 }
 
+void InformationUpdate::Converge(const Roi& region, int iterations, float lambda, SceneBuffer* buffer) {
+  const int steps = std::exchange(steps_, 0);
+  const double momentum_max = std::exchange(options_.momentum_max, 1.0);
+  buffer->previous = buffer->scene;
+  Iterate(region, iterations, lambda, buffer);
+  // The next frame brings other samples: what the scene was moving towards is no longer where it goes.
+  buffer->previous = buffer->scene;
+  options_.momentum_max = momentum_max;
+  steps_ = steps;
+}
+
 void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer) {
   StepWeights weights;
   weights.lambda = lambda;

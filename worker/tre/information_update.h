@@ -42,6 +42,8 @@ class InformationUpdate {
   // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
   // last AddFrame.
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
+  // As Iterate, momentum begun anew and growing without a bound (FISTA's): for many steps on samples that no longer change.
+  void Converge(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // buffer->prediction = B S on `region`.
   void Predict(const Roi& region, SceneBuffer* buffer);
   // Replaces the structure prior of the steps that follow.

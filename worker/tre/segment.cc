@@ -37,6 +37,8 @@ constexpr double kForgettingMin = 0.95;
 constexpr double kProgressRate = 0.1;
 // POINTWISE: steps of the other schemes that one of its sweeps is worth, about.
 constexpr int kStepsPerSweep = 4;
+// A scene that is iterated to convergence wants more weight than one a few steps from its start: log of the factor.
+constexpr double kConvergedLogFactor = 0.5;
 // LANDWEBER revisits its window every so many frames, and believes views up to this far from where they were [sensor px].
 constexpr int kRevisitEvery = 4;
 constexpr double kRevisitSigmaPx = 0.1;
@@ -132,10 +134,13 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       update_(Blur(psf), UpdateOptions(options)),
       regularisation_(psf, options.structure, options.ratio, options.learn_weight, options.threads),
       scheme_(MakeScheme(psf, options, segment_id)),
+      emitted_log_factor_(kConvergedLogFactor),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
       residuals_(buffer_.extent),
       movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
+  // A weight that is not learnt is for comparisons of predictions, which snapshots take no part in.
+  if (scheme_ == nullptr && options.learn_weight) kept_.emplace(InformationOptions{}.huber_sigmas, options.threads);
   const int parameters = ParameterCount(options.view_model);
   covariance_ = scene_covariance_ = velocity_covariance_ = CornerMatrix::Zero(parameters, parameters);
 }
@@ -201,7 +206,9 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
   movers_.Judge(residual_, view_, roi_, noise_sigma);
   for (const MoverMask::Block& block : movers_.outvoted()) {
     const int ratio = options_.ratio;
-    const Roi cells = buffer_.InBuffer({block.x * ratio, block.y * ratio, (block.x + 1) * ratio, (block.y + 1) * ratio});
+    const Roi ground{block.x * ratio, block.y * ratio, (block.x + 1) * ratio, (block.y + 1) * ratio};
+    if (kept_) kept_->Forget(ground);
+    const Roi cells = buffer_.InBuffer(ground);
     for (int y = cells.y0; y < cells.y1; ++y) {
       for (int x = cells.x0; x < cells.x1; ++x) {
         buffer_.weight.at(x, y) = buffer_.weighted.at(x, y) = buffer_.seen.at(x, y) = 0.0F;
@@ -246,6 +253,11 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
   const Roi filled = FillNew(frame, view, region);
   update_.set_forgetting(Forgetting());
   update_.AddFrame(observation, view, region, &buffer_);
+  if (kept_) {
+    KeptFrame kept{frame.frame_index, observation.roi, observation.noise_sigma, frame.pixels, {}, view};
+    if (observation.weights != nullptr) kept.weights = *observation.weights;
+    kept_->Add(std::move(kept), region, Forgetting(), buffer_);
+  }
   if (scheme_ != nullptr) scheme_->AddFrame(frame.frame_index, observation, view);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
   const StructureWeight weight = regularisation_.Weight(region, buffer_, observation.noise_sigma);
@@ -407,6 +419,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
     }
     buffer_.MoveTo(grown);
     residuals_.MoveTo(grown);
+    if (kept_) kept_->MoveTo(grown);
   }
   const PlanarMap motion = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
   const CornerMatrix own = registration.corner_covariance - scene_covariance_;

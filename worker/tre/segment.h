@@ -2,12 +2,14 @@
 
 #include <functional>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
 #include "worker/tre/automatic_regularisation.h"
 #include "worker/tre/frame_residual.h"
 #include "worker/tre/information_update.h"
+#include "worker/tre/kept_frames.h"
 #include "worker/tre/mapping_engine.h"
 #include "worker/tre/mover_mask.h"
 #include "worker/tre/scene_buffer.h"
@@ -110,8 +112,11 @@ class Segment {
   // Factor on the accumulated information of the cells that this frame sees, from how long the ROI dwells on them.
   double Forgetting() const;
   Status EmitSnapshot(double noise_sigma, const Emit& emit);
-  // The snapshot's standard deviations and residuals.
-  void AddUncertainty(double noise_sigma, SceneSnapshot* snapshot);
+  // The scene that the kept frames lead to: samples accumulated anew, weight found by frames held out, iterations to convergence. A copy:
+  // later frames go on from the scene that they were registered to.
+  SceneBuffer Polished(double noise_sigma);
+  // The standard deviations and residuals of the snapshot that was `made`.
+  void AddUncertainty(const SceneBuffer& made, double noise_sigma, SceneSnapshot* snapshot);
 
   Roi roi_;
   EngineOptions options_;
@@ -121,6 +126,9 @@ class Segment {
   InformationUpdate update_;
   AutomaticRegularisation regularisation_;
   std::unique_ptr<UpdateScheme> scheme_;  // Null: the information update.
+  std::optional<KeptFrames> kept_;        // The information update's.
+  StructureWeight emitted_weight_;        // That the last snapshot was made with, without the user's factor.
+  double emitted_log_factor_;             // On the present automatic weight, found by frames held out.
   SceneBuffer buffer_;
   Image<float> continued_;                                  // The frame with its holes continued.
   ResidualMap residuals_;                                   // Not kept up without EngineOptions::uncertainty.

@@ -83,6 +83,7 @@ void Segment::Revisit(double noise_sigma) {
       CarrySceneCovariance(found[k - 1].view.scene_from_sensor.Inverse() * view.scene_from_sensor, {}, covariance_);
       found[k].corner_covariance += scene_covariance_;
     }
+    if (kept_) kept_->Revise(early[k].first.frame_index, found[k].view);
     update_.AddFrame(ObservationOfWhole(early[k].first, roi_, noise_sigma), found[k].view, Footprint(found[k].view.scene_from_sensor), &buffer_);
     // The view is what was found again. The residuals stay those of a frame that the scene did not hold yet: they judge predictions.
     Registration revised = early[k].second;

@@ -36,7 +36,10 @@ Result<EngineAnswer> RunEngine(const BenchScene& scene, EngineOptions options) {
   engine.ms_per_frame = 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count() / scene.options.frame_count;
   engine.answer = OnAnswerGrid(scene, last);
   engine.noise_sigma = result.noise_sigma;
-  for (const ChainEntry& entry : result.segments[0].chain) engine.corner_errors.push_back(testing::CornerError(scene.sequence, entry, 0));
+  for (const ChainEntry& entry : result.segments[0].chain) {
+    engine.corner_errors.push_back(testing::CornerError(scene.sequence, entry, 0));
+    engine.views.push_back(entry.registration.view);
+  }
   engine.lost = static_cast<int>(std::count_if(result.frames.begin(), result.frames.end(),
                                                [](const FrameReport& frame) { return frame.outcome == FrameReport::Outcome::kLost; }));
   return engine;

@@ -157,7 +157,7 @@ TEST(TaskPlanTest, LeavesHolesOutAndNamesTheMissingTiles) {
 TEST(TaskPlanTest, BoundsTheMemoryOfAnEnhanceTaskByItsFormula) {
   const JobInputs inputs = MakeInputs();
   const std::uint64_t frames = inputs.windows[0].frame_end - inputs.windows[0].frame_begin;
-  const std::uint64_t exact = kProcessBytes + 100ULL * 100 * 9 * 2 * 60 + 100ULL * 100 * frames * 8 + 256ULL * 200 * 40;
+  const std::uint64_t exact = kProcessBytes + 100ULL * 100 * 9 * 2 * 120 + 100ULL * 100 * frames * 16 + 256ULL * 200 * 40;
   const std::uint64_t bytes = EnhanceMemoryBytes(inputs.sortie, 256, 200, inputs.windows[0]);
   EXPECT_GE(bytes, exact);
   EXPECT_LT(bytes, exact + (1U << 20));

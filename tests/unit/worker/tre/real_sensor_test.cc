@@ -161,11 +161,9 @@ TEST(BadPixels, DeadHotStuckAndBlinkingPixelsAreFoundAndNoOthers) {
   };
   const double clean_db = score(Map(clean, Off()));
   const std::vector<std::uint64_t> seeds = {3, 5, 7, 9};
-  double gain_db = 0.0;
   for (const std::uint64_t seed : seeds) {
     RenderedSequence sequence = clean;
     const std::vector<int> placed = testing::AddBadPixels(0.005, seed, &sequence);
-    const Made plain = Map(sequence, Off());
     const Made made = Map(sequence);
     const std::set<int> truth(placed.begin(), placed.end());
     int hit = 0;
@@ -174,11 +172,30 @@ TEST(BadPixels, DeadHotStuckAndBlinkingPixelsAreFoundAndNoOthers) {
     EXPECT_GE(hit, static_cast<int>(0.85 * static_cast<double>(truth.size())));
     EXPECT_LE(wrong, 1);
     ASSERT_NE(NoteOf(made, "bad_pixels"), nullptr);
-    EXPECT_TRUE(plain.result.bad_pixels.empty());
     EXPECT_GT(score(made), clean_db - 0.1) << "as good as without bad pixels; seed " << seed;
-    gain_db += (score(made) - score(plain)) / static_cast<double>(seeds.size());
   }
-  // Uncorrected, Huber's weights spare the scene most of it, more or less by where the pixels lie.
+}
+
+// Huber's weights about the final scene spare it nearly all of a few bad pixels by themselves, but not of many.
+TEST(BadPixels, ManyAreWorthCorrecting) {
+  SequenceOptions options;
+  options.frame_count = 40;
+  options.roi_px = 101;
+  options.speed_px = 1.9;
+  const RenderedSequence clean = testing::RenderSequence(options);
+  const Image<float> filtered = testing::Filtered121(clean.truth);
+  const auto score = [&](const Made& m) {
+    return testing::ScoreSnapshot(clean, filtered, m.snapshots.back().scene, 0, 12.0, 1e9).scene_db.value_or(0.0);
+  };
+  const std::vector<std::uint64_t> seeds = {3, 5, 7, 9};
+  double gain_db = 0.0;
+  for (const std::uint64_t seed : seeds) {
+    RenderedSequence sequence = clean;
+    testing::AddBadPixels(0.02, seed, &sequence);
+    const Made plain = Map(sequence, Off());
+    EXPECT_TRUE(plain.result.bad_pixels.empty());
+    gain_db += (score(Map(sequence)) - score(plain)) / static_cast<double>(seeds.size());
+  }
   EXPECT_GT(gain_db, 0.5);
 }
 
@@ -191,8 +208,8 @@ TEST(MoverMask, CleanFramesAreNotEaten) {
 // A mover that stood in the scene's first frames leaves it, and takes its trace along.
 TEST(MoverMask, AMoverOfTheFirstFramesLeavesNoGhost) {
   RenderedSequence sequence = Clean();
-  // Goes with the ground, slowly over it, until it leaves the picture's content in frame 5.
-  testing::AddMover({13.0, 240.0, 45.0, 35.0, -1.0, 0.6, 0, 6}, &sequence);
+  // Goes slowly over the ground until it is gone in frame 14: in fewer frames, robust weights about the final scene are enough.
+  testing::AddMover({13.0, 240.0, 45.0, 35.0, -0.5, 0.3, 0, 14}, &sequence);
   const Image<float> filtered = testing::Filtered121(sequence.truth);
   const Made plain = Map(sequence, Off());
   const Made made = Map(sequence, Masking());
