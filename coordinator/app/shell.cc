@@ -1,5 +1,7 @@
 #include "coordinator/app/shell.h"
 
+#include <algorithm>
+
 #include "mosaic/base/log.h"
 #include "mosaic/base/version.h"
 #include "proto/codec/convert.h"
@@ -68,7 +70,20 @@ Status Shell::Replay() {
   }));
   if (event_count > 0) spdlog::info("restored {} events from {}", event_count, events_->path().string());
   if (missing_count > 0) spdlog::warn("{} finished tasks will run again where they are needed: their artefacts are gone", missing_count);
+  CompactWhenLong();
   return {};
+}
+
+void Shell::CompactWhenLong() {
+  if (events_->event_count() <= std::max(options_.compact_after_events, 2 * events_->snapshot_count())) return;
+  const std::uint64_t before = events_->event_count() + events_->snapshot_count();
+  const Status status = events_->Compact(scheduler_.Snapshot());
+  if (status.ok()) {
+    spdlog::info("the log of {} events was replaced by a snapshot of {}", before, events_->snapshot_count());
+  } else {
+    spdlog::warn("the log stays long: {}", status.message());
+    options_.compact_after_events *= 2;  // Not at every message.
+  }
 }
 
 bool Shell::ArtefactsArePresent(const v1::TaskCommitted& committed) const {
@@ -116,9 +131,18 @@ void Shell::Take(const Effect& effect) {
 }
 
 Status Shell::Flush() {
-  TREM_RETURN_IF_ERROR(events_->Append(unlogged_));
+  const Status appended = events_->Append(unlogged_);
+  if (appended.code() == StatusCode::kExhausted) {
+    if (!is_full_) spdlog::error("{}; nothing new is accepted until there is room", appended.message());
+    is_full_ = true;
+    return {};
+  }
+  TREM_RETURN_IF_ERROR(appended);
+  if (is_full_) spdlog::warn("there is room for {} again; going on", events_->path().string());
+  is_full_ = false;
   if (options_.on_logged && !unlogged_.empty()) options_.on_logged(unlogged_);
   unlogged_.clear();
+  CompactWhenLong();
   for (const auto& [peer, envelope] : unsent_) {
     if (send_(peer, envelope) || !envelope.has_dispatch()) continue;
     // The worker is gone or deaf: no need to wait for its heartbeats to stay away.
@@ -141,7 +165,21 @@ void Shell::Refuse(const std::string& peer, const Status& status) { SendTo(peer,
 
 // ---- Messages ---------------------------------------------------------------------------------------------------------------------
 
+// Workers repeat what matters, so that nothing need be kept; they only have to know that somebody is there.
+void Shell::ReceiveWhileFull(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope) {
+  if (const auto worker = worker_ids_.find(peer); worker != worker_ids_.end()) {
+    workers_.at(worker->second).last_heard_ms = now_ms;
+    return;
+  }
+  if (envelope.has_shutdown()) shutdown_requested_ = true;
+  if (envelope.has_hello() || envelope.has_heartbeat() || envelope.has_progress() || envelope.has_done() || envelope.has_goodbye()) return;
+  const std::string text = "the disk that holds " + events_->path().string() +
+                           " is full: the coordinator answers again when there is room; nothing that was accepted is lost";
+  send_(peer, ErrorEnvelope(Exhausted(text)));
+}
+
 void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope) {
+  if (is_full_) return ReceiveWhileFull(now_ms, peer, envelope);
   switch (envelope.body_case()) {
     case v1::Envelope::kHello:
       return OnHello(now_ms, peer, envelope.hello());
@@ -316,6 +354,14 @@ void Shell::ForgetWorker(const std::string& worker_id) {
 }
 
 void Shell::Tick(TimeMs now_ms) {
+  if (is_full_) {
+    if (now_ms < next_heartbeat_ms_) return;
+    next_heartbeat_ms_ = now_ms + options_.heartbeat_interval_ms;
+    v1::Envelope heartbeat;
+    heartbeat.mutable_heartbeat();
+    for (const auto& [worker_id, worker] : workers_) send_(worker.peer, heartbeat);
+    return;
+  }
   const TimeMs silence_ms_max = static_cast<TimeMs>(options_.heartbeat_interval_ms) * options_.heartbeats_missed_max;
   std::vector<std::string> lost;
   for (const auto& [worker_id, worker] : workers_) {

@@ -25,6 +25,8 @@ struct ShellOptions {
   // A worker that was silent for this many intervals is lost and its tasks go to others. Fewer: a stopped worker is noticed sooner, but a
   // busy machine may lose live ones.
   std::uint32_t heartbeats_missed_max = 8;
+  // The log is replaced by a snapshot when it has more events than this, and twice as many as the last snapshot.
+  std::uint64_t compact_after_events = 200'000;
   // Told of events as soon as they are durable; for metrics. May be empty.
   std::function<void(std::span<const v1::LogEvent>)> on_logged;
   // Jobs that one user may have running at once; more are refused. 0: no limit.
@@ -49,13 +51,16 @@ class Shell {
   void ReceiveBroken(const std::string& peer, const Status& status);
   // Heartbeats, lost workers, ended leases. Call every 100 ms or so, when every message that waited has been taken in.
   void Tick(TimeMs now_ms);
-  // Appends what must survive to the log, then sends. On failure (kExhausted: the disk is full) nothing has left, and the state is ahead of
-  // the log: the caller has to give up, and a new Shell starts from the log.
+  // Appends what must survive to the log, then sends. When the disk is full nothing leaves and nothing new is taken in until a later call
+  // finds room; clients are told. On another failure the state is ahead of the log: the caller has to give up, and a new Shell starts from
+  // the log.
   Status Flush();
 
   const Scheduler& scheduler() const { return scheduler_; }
   // A client asked for the end.
   bool shutdown_requested() const { return shutdown_requested_; }
+  // The disk that holds the log is full.
+  bool is_full() const { return is_full_; }
 
  private:
   struct Peer {
@@ -66,6 +71,8 @@ class Shell {
   Shell(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options, SendFunction send);
 
   Status Replay();
+  void CompactWhenLong();
+  void ReceiveWhileFull(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
   bool ArtefactsArePresent(const v1::TaskCommitted& committed) const;
   void Feed(TimeMs now_ms, const Event& event);
   void Take(const Effect& effect);
@@ -94,6 +101,7 @@ class Shell {
   std::vector<std::pair<std::string, v1::Envelope>> unsent_;
   TimeMs next_heartbeat_ms_ = 0;
   bool shutdown_requested_ = false;
+  bool is_full_ = false;
 };
 
 }  // namespace trem

@@ -16,6 +16,7 @@ std::uint64_t SplitMix64(std::uint64_t state) {
   return z ^ (z >> 31);
 }
 
+constexpr std::uint32_t kTilesMax = 1'000'000;
 constexpr const char* kWindowName = "window.pb";
 
 bool IsHole(const v1::ArtefactRef& ref) { return ref.sha256().empty(); }
@@ -170,6 +171,10 @@ Status CheckTaskResult(v1::TaskKind kind, const v1::TaskResult& result) {
   if (kind == v1::INGEST && !result.has_ingest()) return Failed("the result of an INGEST task has no summary");
   if (kind == v1::ALIGN && (!result.has_align() || result.align().tile_count() == 0)) {
     return Failed("the result of an ALIGN task has no mosaic tile");
+  }
+  if (kind == v1::ALIGN && result.align().tile_count() > kTilesMax) {
+    return Failed("the result of an ALIGN task has " + std::to_string(result.align().tile_count()) + " tiles; at most " +
+                  std::to_string(kTilesMax) + " are possible: raise mosaic.tile_px or mosaic.gsd");
   }
   return {};
 }

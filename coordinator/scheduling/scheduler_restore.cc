@@ -39,6 +39,10 @@ Status Scheduler::Restore(const v1::LogEvent& event) {
       Task& task = tasks_[index];
       task.newest_attempt = std::max(task.newest_attempt, committed.attempt());
       if (task.state == TaskState::kFinished) break;
+      if (!task.wanted_by.empty() && task.wanted_by.front().place.kind != committed.kind()) {
+        return Corrupt("the log holds the result of an " + v1::TaskKind_Name(committed.kind()) + " task under the key of an " +
+                       v1::TaskKind_Name(task.wanted_by.front().place.kind) + " task");
+      }
       Commit(index, committed.kind(), {committed.result(), committed.elapsed_ms(), committed.peak_memory_bytes()});
       break;
     }

@@ -8,14 +8,14 @@
 #include <utility>
 
 #include "coordinator/store/folder_lock.h"
-#include "mosaic/base/check.h"
+#include "coordinator/store/log_record.h"
 #include "mosaic/base/file.h"
-#include "proto/codec/convert.h"
 
 namespace trem {
 namespace {
 
-constexpr int kSchemaVersion = 1;
+// 1: events. 2: a snapshot before them.
+constexpr int kSchemaVersion = 2;
 constexpr int kApplicationId = 0x7472656d;  // "trem" in PRAGMA application_id: tells our database from other programs'.
 
 struct DatabaseCloser {
@@ -81,31 +81,29 @@ Status RunAll(sqlite3* database, const std::filesystem::path& path, std::initial
   return {};
 }
 
-// A new database gets its schema in one transaction; an existing one must have ours.
+constexpr const char* kCreateEvents = "CREATE TABLE events (sequence INTEGER PRIMARY KEY, kind TEXT NOT NULL, body BLOB NOT NULL) STRICT";
+constexpr const char* kCreateSnapshot =
+    "CREATE TABLE snapshot (position INTEGER PRIMARY KEY, kind TEXT NOT NULL, body BLOB NOT NULL) STRICT";
+
+// A new database gets its schema in one transaction; an older one what it lacks; a newer one is refused.
 Status PrepareSchema(sqlite3* database, const std::filesystem::path& path) {
   TREM_ASSIGN_OR_RETURN(const std::int64_t application_id, Run(database, path, "PRAGMA application_id"));
   TREM_ASSIGN_OR_RETURN(const std::int64_t version, Run(database, path, "PRAGMA user_version"));
   TREM_ASSIGN_OR_RETURN(const std::int64_t tables, Run(database, path, "SELECT count(*) FROM sqlite_master"));
   if (application_id == kApplicationId && version == kSchemaVersion) return {};
+  const std::string set_version = "PRAGMA user_version = " + std::to_string(kSchemaVersion);
+  if (application_id == kApplicationId && version == 1) {
+    return RunAll(database, path, {"BEGIN IMMEDIATE", kCreateSnapshot, set_version.c_str(), "COMMIT"});
+  }
   if (application_id == kApplicationId) {
-    return InvalidInput(path.string() + " has schema version " + std::to_string(version) + "; this program reads version " +
+    return InvalidInput(path.string() + " has schema version " + std::to_string(version) + "; this program reads versions up to " +
                         std::to_string(kSchemaVersion) + ": use the trem-coordinator that wrote it or choose another --state folder");
   }
   if (application_id != 0 || tables != 0) {
     return InvalidInput(path.string() + " is another program's database; choose another --state folder");
   }
   const std::string set_id = "PRAGMA application_id = " + std::to_string(kApplicationId);
-  const std::string set_version = "PRAGMA user_version = " + std::to_string(kSchemaVersion);
-  return RunAll(database, path,
-                {"BEGIN IMMEDIATE", "CREATE TABLE events (sequence INTEGER PRIMARY KEY, kind TEXT NOT NULL, body BLOB NOT NULL) STRICT",
-                 set_id.c_str(), set_version.c_str(), "COMMIT"});
-}
-
-// The name of the event in trem.v1.LogEvent: only for people who look into the log.
-std::string KindOf(const v1::LogEvent& event) {
-  const auto* field = v1::LogEvent::descriptor()->FindFieldByNumber(static_cast<int>(event.body_case()));
-  TREM_CHECK_MSG(field != nullptr, "an empty LogEvent");
-  return field->name();
+  return RunAll(database, path, {"BEGIN IMMEDIATE", kCreateEvents, kCreateSnapshot, set_id.c_str(), set_version.c_str(), "COMMIT"});
 }
 
 }  // namespace
@@ -116,8 +114,11 @@ struct EventStore::State {
   Database database;
   Statement begin;
   Statement insert;
+  Statement insert_snapshot;
   Statement commit;
   Statement rollback;
+  std::uint64_t snapshot_count = 0;
+  std::uint64_t event_count = 0;
 
   // Steps a statement that gives no rows, and makes it ready for the next time.
   Status Execute(const Statement& statement) {
@@ -125,6 +126,19 @@ struct EventStore::State {
     const Status status = code == SQLITE_DONE ? Status() : FromSqlite(database.get(), path, "append to");
     sqlite3_reset(statement.get());
     return status;
+  }
+
+  Status Insert(const Statement& statement, std::span<const v1::LogEvent> events) {
+    for (const v1::LogEvent& event : events) {
+      const std::string kind = KindOfLogRecord(event);
+      const std::string body = EncodeLogRecord(event);
+      sqlite3_bind_text(statement.get(), 1, kind.data(), static_cast<int>(kind.size()), SQLITE_STATIC);
+      sqlite3_bind_blob64(statement.get(), 2, body.data(), body.size(), SQLITE_STATIC);
+      const Status status = Execute(statement);
+      sqlite3_clear_bindings(statement.get());
+      TREM_RETURN_IF_ERROR(status);
+    }
+    return {};
   }
 };
 
@@ -145,35 +159,27 @@ Result<std::unique_ptr<EventStore>> EventStore::Open(const std::filesystem::path
   if (opened != SQLITE_OK) return FromSqlite(raw, state->path, "open");
   // Exclusive locking needs no shared memory file, so the folder may lie on a network file system.
   TREM_RETURN_IF_ERROR(RunAll(raw, state->path,
-                              {"PRAGMA locking_mode = EXCLUSIVE", "PRAGMA journal_mode = WAL", "PRAGMA synchronous = FULL",
-                               "PRAGMA trusted_schema = OFF", "PRAGMA cell_size_check = ON"}));
+                              {"PRAGMA auto_vacuum = INCREMENTAL", "PRAGMA locking_mode = EXCLUSIVE", "PRAGMA journal_mode = WAL",
+                               "PRAGMA synchronous = FULL", "PRAGMA trusted_schema = OFF", "PRAGMA cell_size_check = ON"}));
   TREM_RETURN_IF_ERROR(PrepareSchema(raw, state->path));
-  if (options.bytes_max != 0) {
-    TREM_ASSIGN_OR_RETURN(const std::int64_t page_bytes, Run(raw, state->path, "PRAGMA page_size"));
-    const std::string limit = "PRAGMA max_page_count = " + std::to_string(options.bytes_max / static_cast<std::uint64_t>(page_bytes));
-    TREM_RETURN_IF_ERROR(RunAll(raw, state->path, {limit.c_str()}));
-  }
   TREM_ASSIGN_OR_RETURN(state->begin, Prepare(raw, state->path, "BEGIN IMMEDIATE"));
   TREM_ASSIGN_OR_RETURN(state->insert, Prepare(raw, state->path, "INSERT INTO events (kind, body) VALUES (?1, ?2)"));
   TREM_ASSIGN_OR_RETURN(state->commit, Prepare(raw, state->path, "COMMIT"));
+  TREM_ASSIGN_OR_RETURN(state->insert_snapshot, Prepare(raw, state->path, "INSERT INTO snapshot (kind, body) VALUES (?1, ?2)"));
   TREM_ASSIGN_OR_RETURN(state->rollback, Prepare(raw, state->path, "ROLLBACK"));
-  return std::unique_ptr<EventStore>(new EventStore(std::move(state)));
+  TREM_ASSIGN_OR_RETURN(const std::int64_t snapshot_count, Run(raw, state->path, "SELECT count(*) FROM snapshot"));
+  TREM_ASSIGN_OR_RETURN(const std::int64_t event_count, Run(raw, state->path, "SELECT count(*) FROM events"));
+  state->snapshot_count = static_cast<std::uint64_t>(snapshot_count);
+  state->event_count = static_cast<std::uint64_t>(event_count);
+  std::unique_ptr<EventStore> store(new EventStore(std::move(state)));
+  if (options.bytes_max != 0) TREM_RETURN_IF_ERROR(store->SetBytesMax(options.bytes_max));
+  return store;
 }
 
-Status EventStore::Append(std::span<const v1::LogEvent> events) {
-  if (events.empty()) return {};
+Status EventStore::Transact(const std::function<Status()>& change) {
   State& state = *state_;
   TREM_RETURN_IF_ERROR(state.Execute(state.begin));
-  Status status;
-  for (const v1::LogEvent& event : events) {
-    const std::string kind = KindOf(event);
-    const std::string body = SerializeDeterministic(event);
-    sqlite3_bind_text(state.insert.get(), 1, kind.data(), static_cast<int>(kind.size()), SQLITE_STATIC);
-    sqlite3_bind_blob64(state.insert.get(), 2, body.data(), body.size(), SQLITE_STATIC);
-    status = state.Execute(state.insert);
-    sqlite3_clear_bindings(state.insert.get());
-    if (!status.ok()) break;
-  }
+  Status status = change();
   if (status.ok()) status = state.Execute(state.commit);
   // SQLite itself rolls back on some errors; then there is nothing left to do.
   if (!status.ok() && sqlite3_get_autocommit(state.database.get()) == 0) {
@@ -182,22 +188,58 @@ Status EventStore::Append(std::span<const v1::LogEvent> events) {
   return status;
 }
 
+Status EventStore::Append(std::span<const v1::LogEvent> events) {
+  if (events.empty()) return {};
+  TREM_RETURN_IF_ERROR(Transact([&] { return state_->Insert(state_->insert, events); }));
+  state_->event_count += events.size();
+  return {};
+}
+
+Status EventStore::Compact(std::span<const v1::LogEvent> snapshot) {
+  State& state = *state_;
+  const Status compacted = Transact([&]() -> Status {
+    TREM_RETURN_IF_ERROR(RunAll(state.database.get(), state.path, {"DELETE FROM snapshot", "DELETE FROM events"}));
+    return state.Insert(state.insert_snapshot, snapshot);
+  });
+  TREM_RETURN_IF_ERROR(compacted);
+  state.snapshot_count = snapshot.size();
+  state.event_count = 0;
+  // Gives the room back; when that fails the pages are used again all the same.
+  (void)Run(state.database.get(), state.path, "PRAGMA incremental_vacuum");
+  (void)Run(state.database.get(), state.path, "PRAGMA wal_checkpoint(TRUNCATE)");
+  return {};
+}
+
+std::uint64_t EventStore::snapshot_count() const { return state_->snapshot_count; }
+std::uint64_t EventStore::event_count() const { return state_->event_count; }
+
+Status EventStore::SetBytesMax(std::uint64_t bytes_max) {
+  sqlite3* database = state_->database.get();
+  TREM_ASSIGN_OR_RETURN(const std::int64_t page_bytes, Run(database, state_->path, "PRAGMA page_size"));
+  // SQLite's own limit when there is none.
+  const std::uint64_t pages = bytes_max == 0 ? 4294967294U : bytes_max / static_cast<std::uint64_t>(page_bytes);
+  return RunAll(database, state_->path, {("PRAGMA max_page_count = " + std::to_string(pages)).c_str()});
+}
+
 Status EventStore::Replay(const std::function<Status(std::int64_t, const v1::LogEvent&)>& visit) const {
   sqlite3* database = state_->database.get();
-  TREM_ASSIGN_OR_RETURN(const Statement select, Prepare(database, state_->path, "SELECT sequence, body FROM events ORDER BY sequence"));
-  int code = SQLITE_ROW;
-  while ((code = sqlite3_step(select.get())) == SQLITE_ROW) {
-    const std::int64_t sequence = sqlite3_column_int64(select.get(), 0);
-    const void* body = sqlite3_column_blob(select.get(), 1);
-    const int body_bytes = sqlite3_column_bytes(select.get(), 1);
-    v1::LogEvent event;
-    if (!event.ParseFromArray(body, body_bytes) || event.body_case() == v1::LogEvent::BODY_NOT_SET) {
-      return Corrupt(state_->path.string() + ": event " + std::to_string(sequence) +
-                     " is not a trem.v1.LogEvent; restore the file from a copy");
+  for (const char* sql : {"SELECT 0, body FROM snapshot ORDER BY position", "SELECT sequence, body FROM events ORDER BY sequence"}) {
+    TREM_ASSIGN_OR_RETURN(const Statement select, Prepare(database, state_->path, sql));
+    int code = SQLITE_ROW;
+    while ((code = sqlite3_step(select.get())) == SQLITE_ROW) {
+      const std::int64_t sequence = sqlite3_column_int64(select.get(), 0);
+      const char* body = static_cast<const char*>(sqlite3_column_blob(select.get(), 1));
+      const auto body_bytes = static_cast<std::size_t>(sqlite3_column_bytes(select.get(), 1));
+      const Result<v1::LogEvent> event = DecodeLogRecord(std::string_view(body, body_bytes));
+      if (!event.ok()) {
+        const std::string which = sequence == 0 ? "an event of the snapshot" : "event " + std::to_string(sequence);
+        return Corrupt(state_->path.string() + ": " + which + " cannot be read: " + event.status().message() +
+                       "; restore the file from a copy");
+      }
+      TREM_RETURN_IF_ERROR(visit(sequence, *event));
     }
-    TREM_RETURN_IF_ERROR(visit(sequence, event));
+    if (code != SQLITE_DONE) return FromSqlite(database, state_->path, "read");
   }
-  if (code != SQLITE_DONE) return FromSqlite(database, state_->path, "read");
   return {};
 }
 

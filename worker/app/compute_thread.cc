@@ -20,16 +20,17 @@ void ComputeThread::Start(v1::TaskSpec spec) {
   taken_report_count_ = report_count_;
   thread_ = std::thread([this] {
     const auto start = std::chrono::steady_clock::now();
-    Result<v1::TaskResult> result = task_(spec_, [this](double fraction) { return Report(fraction); });
+    TaskOutcome outcome = task_(spec_, [this](double fraction) { return Report(fraction); });
     finished_ =
-        Finished{std::move(result), std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now() - start)};
+        Finished{std::move(outcome), std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now() - start)};
     has_ended_ = true;
     on_finished_();
   });
 }
 
 bool ComputeThread::Report(double fraction) {
-  fraction_ = fraction >= 0.0 ? (fraction <= 1.0 ? fraction : 1.0) : 0.0;  // NaN becomes 0.
+  if (fraction < 0.0) return !cancelled_;                                 // Just a question.
+  fraction_ = fraction <= 1.0 ? fraction : (fraction > 1.0 ? 1.0 : 0.0);  // NaN becomes 0.
   ++report_count_;
   return !cancelled_;
 }

@@ -9,6 +9,7 @@
 
 #include "mosaic/base/status.h"
 #include "proto/trem/v1/task.pb.h"
+#include "worker/app/compute_protocol.h"
 
 namespace trem {
 
@@ -16,10 +17,9 @@ namespace trem {
 // the owner's.
 class ComputeThread {
  public:
-  // What computes; must not throw. It calls `progress` often and returns soon after that said false.
-  using Task = std::function<Result<v1::TaskResult>(const v1::TaskSpec& spec, const std::function<bool(double)>& progress)>;
+  using Task = TaskFunction;
   struct Finished {
-    Result<v1::TaskResult> result;
+    TaskOutcome outcome;
     std::chrono::milliseconds elapsed{0};
   };
 

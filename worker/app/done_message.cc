@@ -37,12 +37,14 @@ v1::Envelope MakeDone(const v1::TaskAttempt& attempt, const ComputeThread::Finis
   v1::Done* done = envelope.mutable_done();
   *done->mutable_attempt() = attempt;
   done->set_elapsed_ms(static_cast<std::uint64_t>(finished.elapsed.count()));
-  done->set_peak_memory_bytes(PeakMemoryBytes());
-  if (!finished.result.ok()) {
-    SetFailure(finished.result.status(), done);
+  const TaskOutcome& outcome = finished.outcome;
+  done->set_peak_memory_bytes(outcome.peak_memory_bytes > 0 ? outcome.peak_memory_bytes : PeakMemoryBytes());
+  if (!outcome.result.ok()) {
+    SetFailure(outcome.result.status(), done);
+    for (const std::string& digest : outcome.bad_artefacts) done->add_bad_artefacts(digest);
     return envelope;
   }
-  *done->mutable_result() = *finished.result;
+  *done->mutable_result() = *outcome.result;
   for (v1::Note& note : *done->mutable_result()->mutable_notes()) {
     note.set_subject(ToMessageText(note.subject()));
     note.set_message(ToMessageText(note.message()));

@@ -9,6 +9,7 @@
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
+#include "worker/app/compute_command.h"
 #include "worker/app/enhance_command.h"
 #include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
@@ -40,6 +41,7 @@ void PrintHelp(std::ostream& out) {
 
 int Main(int argc, char** argv) {
   const std::string name = argc > 1 ? argv[1] : "";
+  if (name == "compute") return RunComputeCommand(argc - 1, argv + 1);  // Not for people, so not in the list.
   if (name == "--help" || name == "-h" || name == "help") return PrintHelp(std::cout), 0;
   if (name == "--version") {
     std::cout << "trem-worker " << TREM_VERSION << " (engine revision " << kEngineRevision << ", protocol " << kProtocolVersion << ")\n";

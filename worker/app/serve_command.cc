@@ -18,10 +18,10 @@
 
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/log.h"
+#include "worker/app/compute_process.h"
 #include "worker/app/usage.h"
 #include "worker/app/worker_loop.h"
 #include "worker/sortie/source_guard.h"
-#include "worker/tasks/task.h"
 
 namespace trem {
 namespace {
@@ -34,6 +34,9 @@ struct ServeOptions {
   std::string coordinator_key_path;
   std::uint64_t memory_bytes_max = 0;
   std::uint32_t give_up_s = 0;
+  std::uint32_t drain_s = 0;
+  std::uint32_t silence_s = 300;
+  std::uint32_t task_max_s = 0;
   bool die_with_parent = false;
   std::string log_level = "info";
   std::string log_format = "text";
@@ -74,21 +77,34 @@ std::string NewWorkerId(const std::string& host) {
   return id;
 }
 
+ComputeProcessOptions ComputeOptionsOf(const ServeOptions& serve) {
+  ComputeProcessOptions options;
+  // By /proc, so that a worker whose program is replaced while it runs goes on with the one that it is.
+  options.argv = {
+      "/proc/self/exe", "compute",       "--store",      serve.store,     "--memory-max-bytes", std::to_string(serve.memory_bytes_max),
+      "--log-level",    serve.log_level, "--log-format", serve.log_format};
+  options.silence_max = std::chrono::seconds(serve.silence_s);
+  options.task_max = std::chrono::seconds(serve.task_max_s);
+  return options;
+}
+
 Status Serve(const ServeOptions& serve) {
-  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(serve.store));
+  TREM_RETURN_IF_ERROR(ArtefactStore::Open(serve.store).status());
   WorkerOptions options;
   options.host = HostName();
   options.pid = static_cast<std::uint32_t>(::getpid());
   options.worker_id = NewWorkerId(options.host);
   options.memory_bytes_max = serve.memory_bytes_max;
   options.give_up = std::chrono::seconds(serve.give_up_s);
+  options.drain_grace = std::chrono::seconds(serve.drain_s);
   TREM_ASSIGN_OR_RETURN(const ChannelOptions channel_options, ChannelOptionsOf(serve.key_path, serve.coordinator_key_path));
   TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
   signalled_channel = channel.get();
   TREM_ASSIGN_OR_RETURN(const SourceGuard guard, SourceGuard::Make(serve.source_roots, /*closed=*/!serve.key_path.empty()));
-  const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> Result<v1::TaskResult> {
+  ComputeProcess compute(ComputeOptionsOf(serve));
+  const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> TaskOutcome {
     TREM_RETURN_IF_ERROR(guard.Check(spec.sortie()));
-    return RunTask(spec, TaskContext{&store, progress});
+    return compute.Run(spec, progress);
   };
   const Status status = RunWorkerLoop(options, channel.get(), task, stop_requested);
   signalled_channel = nullptr;
@@ -108,13 +124,21 @@ int RunServeCommand(int argc, char** argv) {
   app.add_option("--source-root", options.source_roots,
                  "Read sorties below this folder only; may be repeated. Default: everything without --key, nothing with it")
       ->allow_extra_args(false);
-  app.add_option("--key", options.key_path, "Secret key file of this worker (`trem keys`); needed beyond this machine")->envname("TREM_KEY");
+  app.add_option("--key", options.key_path, "Secret key file of this worker (`trem keys`); needed beyond this machine")
+      ->envname("TREM_KEY");
   app.add_option("--coordinator-key", options.coordinator_key_path, "The coordinator's .pub file")->envname("TREM_COORDINATOR_KEY");
   app.add_option("--store", options.store, "Folder of the artefact store, the same as the coordinator's")->required();
-  app.add_option("--memory-max-bytes", options.memory_bytes_max, "Take no task that needs more memory (0: no limit)")
+  app.add_option("--memory-max-bytes", options.memory_bytes_max,
+                 "Take no task that needs more memory, and let none allocate more (0: no limit)")
       ->capture_default_str();
   app.add_option("--give-up-s", options.give_up_s, "Exit after the coordinator was silent for so many seconds (0: never)")
       ->capture_default_str();
+  app.add_option("--drain-s", options.drain_s, "Told to stop, let the running task go on for so many seconds before handing it back")
+      ->capture_default_str();
+  app.add_option("--silence-max-s", options.silence_s, "Kill a task that reports no progress for so many seconds")
+      ->check(CLI::Range(1U, 86'400U))
+      ->capture_default_str();
+  app.add_option("--task-max-s", options.task_max_s, "Kill a task that takes more seconds (0: no limit)")->capture_default_str();
   app.add_flag("--die-with-parent", options.die_with_parent, "Stop when the process that started this one dies");
   app.add_option("--log-level", options.log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   app.add_option("--log-format", options.log_format, "text, or json: one object a line")->check(CLI::IsMember({"text", "json"}));

@@ -44,7 +44,8 @@ class WorkerLoop {
     last_heard_ = Clock::now();
     for (;;) {
       const TimePoint now = Clock::now();
-      if (stop_ && !drain_deadline_) BeginDrain(now);
+      if (stop_ && !is_stopping_) BeginStop(now);
+      if (cancel_at_ && now >= *cancel_at_ && running_) CancelRunning("this worker stops", now);
       CollectFinished(now);
       StartNext();
       SendDue(now);
@@ -87,6 +88,10 @@ class WorkerLoop {
       case v1::Envelope::kCancelTask:
         OnCancel(envelope.cancel_task(), now);
         break;
+      case v1::Envelope::kDrain:
+        spdlog::info("asked to leave when the running task is done: {}", envelope.drain().reason());
+        BeginDrain(now);
+        break;
       case v1::Envelope::kError:
         return OnError(envelope.error());
       case v1::Envelope::kBye:
@@ -124,8 +129,8 @@ class WorkerLoop {
   }
 
   void OnDispatch(const v1::Dispatch& dispatch, TimePoint now) {
-    if (drain_deadline_) return;  // Goodbye hands it back.
     const v1::TaskAttempt attempt = AttemptOf(dispatch);
+    if (drain_deadline_) return HandBack(attempt, now);
     for (PendingDone& done : unacknowledged_) {
       if (done.attempt().task_key() != attempt.task_key()) continue;
       if (done.attempt().attempt() > attempt.attempt()) return;
@@ -181,14 +186,16 @@ class WorkerLoop {
     v1::TaskAttempt attempt = *std::exchange(running_, std::nullopt);
     stuck_deadline_.reset();
     LogWith(spdlog::level::info,
-            "ended after " + std::to_string(finished->elapsed.count()) + " ms: " + finished->result.status().ToString(),
+            "ended after " + std::to_string(finished->elapsed.count()) + " ms: " + finished->outcome.result.status().ToString(),
             {{"task", attempt.task_key()}, {"attempt", std::to_string(attempt.attempt())}, {"worker", options_.worker_id}});
-    const bool is_cancelled = !finished->result.ok() && finished->result.status().code() == StatusCode::kCancelled;
+    const Result<v1::TaskResult>& result = finished->outcome.result;
+    if (drain_deadline_) drain_deadline_ = now + options_.drain_ack_wait;
+    const bool is_cancelled = !result.ok() && result.status().code() == StatusCode::kCancelled;
     if (drain_deadline_ && is_cancelled) return;  // Goodbye hands it back.
     const auto newer =
         std::find_if(queued_.begin(), queued_.end(), [&](const v1::Dispatch& other) { return other.task().key() == attempt.task_key(); });
     if (newer != queued_.end()) {
-      if (!finished->result.ok()) return;  // The newer attempt computes it again.
+      if (!result.ok()) return;  // The newer attempt computes it again.
       attempt.set_attempt(newer->attempt());
       queued_.erase(newer);
     }
@@ -245,7 +252,7 @@ class WorkerLoop {
     hello->set_host(options_.host);
     hello->set_pid(options_.pid);
     hello->set_engine_revision(options_.engine_revision);
-    hello->set_credit(1);
+    hello->set_credit(drain_deadline_ ? 0 : 1);
     hello->set_memory_bytes_max(options_.memory_bytes_max);
     if (running_) *hello->add_running() = *running_;
     for (const v1::Dispatch& dispatch : queued_) *hello->add_running() = AttemptOf(dispatch);
@@ -263,17 +270,30 @@ class WorkerLoop {
       for (const PendingDone& done : unacknowledged_) next = std::min(next, done.due);
     }
     if (stuck_deadline_) next = std::min(next, *stuck_deadline_);
-    if (drain_deadline_) next = std::min(next, std::max(now + milliseconds(10), *drain_deadline_));
+    if (drain_deadline_ && !running_) next = std::min(next, std::max(now + milliseconds(10), *drain_deadline_));
+    if (cancel_at_ && !stuck_deadline_) next = std::min(next, std::max(now + milliseconds(10), *cancel_at_));
     return std::max(milliseconds(0), std::chrono::ceil<milliseconds>(next - now));
   }
 
   // ---- Leaving ------------------------------------------------------------------------------------------------------------------------
 
+  // Takes nothing more, and leaves when what runs is done.
   void BeginDrain(TimePoint now) {
+    if (!drain_deadline_) drain_deadline_ = now + options_.drain_ack_wait;
+    // Goodbye would hand them back too, but only when the running task is done.
+    for (const v1::Dispatch& dispatch : std::exchange(queued_, {})) HandBack(AttemptOf(dispatch), now);
+  }
+
+  // The same, and what runs is handed back when it is not done in time.
+  void BeginStop(TimePoint now) {
+    is_stopping_ = true;
     spdlog::info("asked to stop");
-    drain_deadline_ = now + options_.drain_ack_wait;
-    queued_.clear();
-    if (running_) CancelRunning("this worker stops", now);
+    BeginDrain(now);
+    cancel_at_ = now + options_.drain_grace;
+  }
+
+  void HandBack(const v1::TaskAttempt& attempt, TimePoint now) {
+    Send(MakeDone(attempt, {Cancelled("this worker leaves"), milliseconds(0)}), now);
   }
 
   Status Leave() {
@@ -305,7 +325,9 @@ class WorkerLoop {
   TimePoint next_hello_{};
   TimePoint next_progress_{};
   std::optional<TimePoint> stuck_deadline_;  // Set while the running task is cancelled.
-  std::optional<TimePoint> drain_deadline_;  // Set once this worker leaves.
+  std::optional<TimePoint> drain_deadline_;  // Set once this worker leaves: how long it waits for Acks when nothing runs.
+  std::optional<TimePoint> cancel_at_;       // Set once it was told to stop: what runs then is handed back.
+  bool is_stopping_ = false;
 
   std::optional<v1::TaskAttempt> running_;
   std::deque<v1::Dispatch> queued_;

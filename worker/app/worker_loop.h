@@ -23,6 +23,7 @@ struct WorkerOptions {
   std::chrono::milliseconds progress_interval{250};  // Progress is sent at most this often.
   std::chrono::milliseconds done_resend{2000};       // A Done without Ack is sent again after this.
   std::chrono::milliseconds cancel_grace{10000};     // A cancelled task that still runs after this ends the process with exit code 9.
+  std::chrono::milliseconds drain_grace{0};          // Told to stop, a running task may go on for this long before it is handed back.
   std::chrono::milliseconds drain_ack_wait{1000};    // How long leaving waits for the Ack of a result.
   std::chrono::milliseconds give_up{0};              // Ends with kUnavailable after such a silence of the coordinator. 0: never.
 };

@@ -5,6 +5,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "mosaic/base/version.h"
 #include "proto/codec/convert.h"
 #include "tests/support/paths.h"
@@ -21,17 +23,18 @@ class ShellTest : public ::testing::Test {
   ShellTest() { Start(); }
 
   // Starts a shell, or starts it again after the old one was dropped without notice.
-  void Start(const EventStoreOptions& store_options = {}) {
+  void Start(const EventStoreOptions& store_options = {}, const ShellOptions& options = {}) {
     shell.reset();
     auto events = EventStore::Open(folder / "state", store_options);
     TREM_CHECK_MSG(events.ok(), events.status().ToString());
+    store = events->get();
     auto artefacts = ArtefactStore::Open(folder / "store");
     TREM_CHECK_MSG(artefacts.ok(), artefacts.status().ToString());
-    auto made =
-        Shell::Create(std::move(events).value(), std::move(artefacts).value(), {}, [this](const std::string& peer, const v1::Envelope& e) {
-          sent.emplace_back(peer, e);
-          return true;
-        });
+    auto made = Shell::Create(std::move(events).value(), std::move(artefacts).value(), options,
+                              [this](const std::string& peer, const v1::Envelope& e) {
+                                sent.emplace_back(peer, e);
+                                return true;
+                              });
     TREM_CHECK_MSG(made.ok(), made.status().ToString());
     shell = std::move(made).value();
   }
@@ -86,6 +89,7 @@ class ShellTest : public ::testing::Test {
   trem::testing::TempDir folder;
   Sent sent;
   std::unique_ptr<Shell> shell;
+  EventStore* store = nullptr;  // The shell's.
   TimeMs now_ms = 1'000;
 };
 
@@ -177,18 +181,92 @@ TEST_F(ShellTest, RunsATaskAgainWhenItsArtefactsAreGone) {
   EXPECT_EQ(dispatch.task().kind(), v1::INGEST);
 }
 
-TEST_F(ShellTest, SendsNothingWhenTheLogCannotBeWritten) {
-  Start({.bytes_max = 8 << 10});
-  sent.clear();
-  Status status;
-  for (int i = 0; i < 100 && status.ok(); ++i) {
+TEST_F(ShellTest, TakesNothingInWhileTheDiskIsFullAndGoesOnWhenThereIsRoom) {
+  Start();
+  Say("peer", Hello("w1"));
+  ASSERT_TRUE(store->SetBytesMax(4096).ok());  // Less than it has: not one more page.
+  int accepted = 0;
+  while (accepted < 200 && !shell->is_full()) {
     sent.clear();
-    shell->Receive(now_ms, "client", Submit("job-" + std::to_string(i)));
-    status = shell->Flush();
+    shell->Receive(now_ms, "client", Submit("job-" + std::to_string(accepted)));
+    ASSERT_TRUE(shell->Flush().ok());
+    if (!shell->is_full()) ++accepted;
   }
-  EXPECT_EQ(status.code(), StatusCode::kExhausted);
-  EXPECT_THAT(status.message(), HasSubstr("events.sqlite"));
+  ASSERT_TRUE(shell->is_full());
   EXPECT_TRUE(sent.empty()) << "a job was confirmed that the log does not hold";
+  const std::string waiting = "job-" + std::to_string(accepted);
+
+  // Clients are told, workers are kept alive, leases do not end.
+  shell->Receive(now_ms, "client", Submit("another"));
+  ASSERT_THAT(sent, SizeIs(1));
+  EXPECT_EQ(sent[0].second.error().status_code(), static_cast<std::uint32_t>(StatusCode::kExhausted));
+  EXPECT_THAT(sent[0].second.error().message(), HasSubstr("events.sqlite is full"));
+  sent.clear();
+  now_ms += 600'000;
+  shell->Tick(now_ms);
+  ASSERT_TRUE(shell->Flush().ok());
+  ASSERT_THAT(sent, SizeIs(1));
+  EXPECT_TRUE(sent[0].second.has_heartbeat());
+  v1::Envelope heartbeat;
+  heartbeat.mutable_heartbeat();
+  shell->Receive(now_ms, "peer", heartbeat);
+
+  ASSERT_TRUE(store->SetBytesMax(0).ok());
+  sent.clear();
+  ASSERT_TRUE(shell->Flush().ok());
+  EXPECT_FALSE(shell->is_full());
+  ASSERT_FALSE(sent.empty());
+  EXPECT_EQ(sent.back().second.job_status().job_id(), waiting) << "what waited is answered once it is durable";
+  EXPECT_EQ(Say("client", Submit("another")).back().second.job_status().state(), v1::JOB_RUNNING);
+  Start();
+  EXPECT_EQ(Say("client", GetJob(waiting))[0].second.job_status().state(), v1::JOB_RUNNING);
+}
+
+TEST_F(ShellTest, ReplacesALongLogByASnapshotOfTheSameState) {
+  ShellOptions options;
+  options.compact_after_events = 3;
+  Start({}, options);
+  Say("client", Submit("job"));
+  Say("peer", DoneIngest(Say("peer", Hello("w1"))[1].second.dispatch()));
+  for (int i = 0; i < 4; ++i) Say("client", Submit("job-" + std::to_string(i), 1));
+  EXPECT_GT(store->snapshot_count(), 0U);
+  EXPECT_LE(store->event_count(), std::max<std::uint64_t>(options.compact_after_events, 2 * store->snapshot_count()));
+  const std::string before = Say("client", GetJob("job"))[0].second.job_status().stages(0).DebugString();
+  Start({}, options);
+  EXPECT_EQ(Say("client", GetJob("job"))[0].second.job_status().stages(0).DebugString(), before);
+  for (int i = 0; i < 4; ++i) {
+    EXPECT_EQ(Say("client", GetJob("job-" + std::to_string(i)))[0].second.job_status().state(), v1::JOB_RUNNING);
+  }
+}
+
+TEST_F(ShellTest, LimitsTheJobsOfAUserAndDrainsAndRetries) {
+  ShellOptions options;
+  options.user_jobs_max = 1;
+  Start({}, options);
+  v1::Envelope submit = Submit("one");
+  submit.mutable_submit_job()->set_user("ann");
+  submit.mutable_submit_job()->set_priority(3);
+  const v1::JobStatus status = Say("c", submit)[0].second.job_status();
+  EXPECT_EQ(status.user(), "ann");
+  EXPECT_EQ(status.priority(), 3);
+  submit.mutable_submit_job()->set_job_id("two");
+  EXPECT_THAT(Say("c", submit)[0].second.error().message(), HasSubstr("user 'ann' has 1 jobs running"));
+  submit.mutable_submit_job()->set_user("bob");
+  EXPECT_TRUE(Say("c", submit)[0].second.has_job_status());
+
+  Say("peer", Hello("w1"));
+  v1::Envelope envelope;
+  envelope.mutable_drain_worker()->set_worker_id("w1");
+  const Sent drained = Say("c", envelope);
+  ASSERT_THAT(drained, SizeIs(2));
+  EXPECT_TRUE(drained[0].second.has_drain());
+  EXPECT_TRUE(drained[1].second.worker_list().workers(0).draining());
+  envelope.mutable_drain_worker()->set_worker_id("nobody");
+  EXPECT_THAT(Say("c", envelope)[0].second.error().message(), HasSubstr("no worker 'nobody'"));
+  envelope.mutable_cancel_job()->set_job_id("one");
+  Say("c", envelope);
+  envelope.mutable_retry_job()->set_job_id("one");
+  EXPECT_EQ(Say("c", envelope).back().second.job_status().state(), v1::JOB_RUNNING);
 }
 
 TEST_F(ShellTest, AnswersClients) {

@@ -29,7 +29,8 @@ using trem::testing::WriteFileContents;
 
 v1::LogEvent MakeEvent(std::uint32_t number, std::size_t padding = 0) {
   v1::LogEvent event;
-  event.mutable_attempt_started()->set_task_key("key-" + std::to_string(number) + std::string(padding, 'x'));
+  event.mutable_attempt_started()->set_task_key(std::string(64, 'a'));
+  event.mutable_attempt_started()->set_worker_id(std::string(padding, 'x'));
   event.mutable_attempt_started()->set_attempt(number);
   return event;
 }
@@ -161,14 +162,72 @@ TEST(EventStoreTest, IsHeldByOneOwnerAtATime) {
   EXPECT_TRUE(EventStore::Open(folder.path()).ok());
 }
 
-TEST(EventStoreTest, RefusesAnotherSchemaVersionByNumber) {
+TEST(EventStoreTest, RefusesANewerSchemaVersionByNumber) {
   const TempDir folder;
   MustOpen(folder.path());
   ExecuteSql(folder / "events.sqlite", "PRAGMA user_version = 7");
   const auto store = EventStore::Open(folder.path());
   ASSERT_FALSE(store.ok());
   EXPECT_EQ(store.status().code(), StatusCode::kInvalidInput);
-  EXPECT_THAT(store.status().message(), HasSubstr("has schema version 7; this program reads version 1"));
+  EXPECT_THAT(store.status().message(), HasSubstr("has schema version 7; this program reads versions up to 2"));
+}
+
+// What a program of schema version 1 left behind.
+TEST(EventStoreTest, MigratesALogOfTheFirstSchemaVersion) {
+  const TempDir folder;
+  const fs::path path = folder / "events.sqlite";
+  ASSERT_TRUE(MustOpen(folder.path())->Append(std::vector{MakeEvent(1), MakeEvent(2)}).ok());
+  ExecuteSql(path, "DROP TABLE snapshot; PRAGMA user_version = 1");
+  const auto store = MustOpen(folder.path());
+  EXPECT_EQ(ReadAll(*store).value(), (std::vector<std::uint32_t>{1, 2}));
+  ASSERT_TRUE(store->Append(std::vector{MakeEvent(3)}).ok());
+  EXPECT_EQ(store->event_count(), 3U);
+  EXPECT_TRUE(store->Compact(std::vector{MakeEvent(9)}).ok());
+}
+
+TEST(EventStoreTest, ReplaysTheSnapshotThenWhatCameAfterIt) {
+  const TempDir folder;
+  {
+    const auto store = MustOpen(folder.path());
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(1), MakeEvent(2), MakeEvent(3)}).ok());
+    ASSERT_TRUE(store->Compact(std::vector{MakeEvent(30)}).ok());
+    EXPECT_EQ(store->snapshot_count(), 1U);
+    EXPECT_EQ(store->event_count(), 0U);
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(4)}).ok());
+  }
+  const auto store = MustOpen(folder.path());
+  EXPECT_EQ(store->snapshot_count(), 1U);
+  EXPECT_EQ(store->event_count(), 1U);
+  std::vector<std::uint32_t> numbers;
+  ASSERT_TRUE(store
+                  ->Replay([&](std::int64_t sequence, const v1::LogEvent& event) {
+                    EXPECT_EQ(sequence, numbers.empty() ? 0 : 1);
+                    numbers.push_back(event.attempt_started().attempt());
+                    return Status();
+                  })
+                  .ok());
+  EXPECT_EQ(numbers, (std::vector<std::uint32_t>{30, 4}));
+}
+
+TEST(EventStoreTest, KeepsTheLogWhenThereIsNoRoomForASnapshotAndGoesOnWhenThereIs) {
+  const TempDir folder;
+  const auto store = MustOpen(folder.path());
+  ASSERT_TRUE(store->Append(std::vector{MakeEvent(1), MakeEvent(2)}).ok());
+  ASSERT_TRUE(store->SetBytesMax(64 << 10).ok());
+  const std::vector<v1::LogEvent> large(20, MakeEvent(7, 5000));
+  EXPECT_EQ(store->Compact(large).code(), StatusCode::kExhausted);
+  EXPECT_EQ(ReadAll(*store).value(), (std::vector<std::uint32_t>{1, 2}));
+  ASSERT_TRUE(store->SetBytesMax(0).ok());
+  EXPECT_TRUE(store->Compact(large).ok());
+  EXPECT_EQ(store->snapshot_count(), 20U);
+}
+
+TEST(EventStoreTest, GivesRoomBackWhenALongLogIsCompacted) {
+  const TempDir folder;
+  const auto store = MustOpen(folder.path());
+  for (int i = 0; i < 20; ++i) ASSERT_TRUE(store->Append(std::vector<v1::LogEvent>(50, MakeEvent(1, 1000))).ok());
+  ASSERT_TRUE(store->Compact(std::vector{MakeEvent(1)}).ok());
+  EXPECT_LT(fs::file_size(folder / "events.sqlite"), 100'000U);
 }
 
 TEST(EventStoreTest, RefusesAnotherProgramsDatabase) {
@@ -196,7 +255,7 @@ TEST(EventStoreTest, NamesAnEventThatIsNoMessage) {
   const auto store = MustOpen(folder.path());
   const Status status = ReadAll(*store).status();
   EXPECT_EQ(status.code(), StatusCode::kCorrupt);
-  EXPECT_THAT(status.message(), HasSubstr("event 1 is not"));
+  EXPECT_THAT(status.message(), HasSubstr("event 1 cannot be read"));
 }
 
 TEST(EventStoreTest, RefusesAStateFolderThatIsAFile) {

@@ -435,6 +435,68 @@ TEST(WorkerLoop, DeliversAFinishedResultBeforeItLeaves) {
   EXPECT_TRUE(harness.Join().ok());
 }
 
+TEST(WorkerLoop, LetsTheRunningTaskFinishWithinTheGraceWhenStopped) {
+  Harness harness;
+  harness.options().drain_grace = std::chrono::minutes(10);
+  harness.options().drain_ack_wait = std::chrono::seconds(10);
+  std::atomic<bool> finish{false};
+  harness.StartWorker([&](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
+    while (!finish && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
+    return ResultOf(spec);
+  });
+  harness.Welcome();
+  harness.Dispatch(kKeyA, 1);
+  harness.Await(v1::Envelope::kProgress);
+  harness.RequestStop();
+  harness.Dispatch(kKeyB, 1);
+  const v1::Done refused = harness.AwaitDone();
+  EXPECT_ATTEMPT(refused.attempt(), kKeyB, 1);
+  EXPECT_EQ(refused.status_code(), static_cast<unsigned>(StatusCode::kCancelled)) << "it takes nothing more";
+  harness.Await(v1::Envelope::kProgress);
+  finish = true;
+  const v1::Done done = harness.AwaitDone();
+  EXPECT_ATTEMPT(done.attempt(), kKeyA, 1);
+  EXPECT_EQ(done.status_code(), 0u);
+  harness.Ack(done.attempt());
+  harness.Await(v1::Envelope::kGoodbye);
+  EXPECT_TRUE(harness.Join().ok());
+}
+
+TEST(WorkerLoop, HandsTheTaskBackWhenTheGraceIsOver) {
+  Harness harness;
+  harness.options().drain_grace = milliseconds(100);
+  harness.StartWorker(UntilCancelled);
+  harness.Welcome();
+  harness.Dispatch(kKeyA, 1);
+  harness.Await(v1::Envelope::kProgress);
+  harness.RequestStop();
+  harness.Await(v1::Envelope::kGoodbye);
+  EXPECT_TRUE(harness.Join().ok());
+}
+
+TEST(WorkerLoop, LeavesByItselfOnceDrained) {
+  Harness harness;
+  std::atomic<bool> finish{false};
+  harness.StartWorker([&](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
+    while (!finish && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
+    return ResultOf(spec);
+  });
+  harness.Welcome();
+  harness.Dispatch(kKeyA, 1);
+  harness.Await(v1::Envelope::kProgress);
+  v1::Envelope drain;
+  drain.mutable_drain()->set_reason("maintenance");
+  harness.Send(drain);
+  harness.StopCoordinator();
+  harness.StartCoordinator();
+  EXPECT_EQ(harness.Await(v1::Envelope::kHello).hello().credit(), 0u) << "a restarted coordinator gives it nothing";
+  harness.Welcome();
+  finish = true;
+  harness.Ack(harness.AwaitDone().attempt());
+  harness.Await(v1::Envelope::kGoodbye);
+  EXPECT_TRUE(harness.Join().ok());
+}
+
 TEST(WorkerLoopDeathTest, ExitsWhenACancelledTaskDoesNotStop) {
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   // The dying process can't remove its folder; it is made inside one that this process removes.

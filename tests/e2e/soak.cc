@@ -1,0 +1,194 @@
+#include "tests/e2e/soak.h"
+
+#include <signal.h>
+#include <sys/mount.h>
+
+#include <algorithm>
+#include <chrono>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <thread>
+
+namespace trem::testing {
+namespace {
+
+namespace fs = std::filesystem;
+using std::chrono::milliseconds;
+using std::chrono::seconds;
+
+constexpr const char* kJob = "soak";
+constexpr int kStateBytes = 24 << 20;
+constexpr std::uint64_t kStream = 0x736f616b;
+
+void Sleep(int ms) { std::this_thread::sleep_for(milliseconds(ms)); }
+
+}  // namespace
+
+Soak::Soak(const SoakOptions& options) : options_(options), rng_({options.seed, kStream}) {
+  endpoint_ = "ipc://" + (fixture_.folder() / "socket").string();
+  fs::create_directories(state_);
+  const std::string size = "size=" + std::to_string(kStateBytes);
+  can_fill_disk_ = ::mount("tmpfs", state_.c_str(), "tmpfs", 0, size.c_str()) == 0;
+}
+
+Soak::~Soak() {
+  workers_.clear();
+  coordinator_.reset();
+  if (can_fill_disk_) ::umount2(state_.c_str(), MNT_DETACH);
+}
+
+void Soak::StartCoordinator() {
+  coordinator_ = std::make_unique<Subprocess>(
+      std::vector<std::string>{BinaryPath("trem-coordinator").string(), "--state", state_.string(), "--store", store_.string(), "--bind",
+                               endpoint_, "--lease-ms", "8000", "--log-level", "error"},
+      fixture_.Options());
+}
+
+void Soak::StartWorker(int index) {
+  workers_[static_cast<std::size_t>(index)] =
+      std::make_unique<Subprocess>(std::vector<std::string>{BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_,
+                                                            "--store", store_.string(), "--log-level", "error"},
+                                   fixture_.Options());
+}
+
+Completed Soak::Trem(std::vector<std::string> arguments) const {
+  arguments.insert(arguments.begin(), BinaryPath("trem").string());
+  SubprocessOptions options = fixture_.Options();
+  options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
+  return RunProgram(arguments, std::chrono::minutes(2), options);
+}
+
+// Flips a byte in the middle of some object; not of what EXPORT has made, for which nobody would ask again.
+void Soak::DamageAnArtefact() {
+  if (StateOfJob() != "running" || is_exporting_) return;
+  std::vector<fs::path> objects;
+  std::error_code error;
+  for (fs::recursive_directory_iterator it(store_ / "objects", error), end; !error && it != end; it.increment(error)) {
+    std::error_code ignored;
+    if (it->is_regular_file(ignored)) objects.push_back(it->path());
+  }
+  if (objects.empty()) return;
+  std::sort(objects.begin(), objects.end());
+  std::fstream file(objects[rng_.UniformIndex(static_cast<std::uint32_t>(objects.size()))],
+                    std::ios::in | std::ios::out | std::ios::binary);
+  file.seekg(0, std::ios::end);
+  const auto middle = file.tellg() / 2;
+  file.seekg(middle);
+  const int byte = file.get();
+  file.seekp(middle);
+  file.put(static_cast<char>(byte ^ 0x40));
+  Count("artefact damaged");
+}
+
+void Soak::FillTheDisk() {
+  const fs::path ballast = state_ / "ballast";
+  {
+    std::ofstream file(ballast, std::ios::binary);
+    const std::string block(1 << 14, 'x');
+    while (file.write(block.data(), static_cast<std::streamsize>(block.size())).flush()) {
+    }
+  }
+  Sleep(1'500);
+  fs::remove(ballast);
+  Count("disk filled");
+}
+
+void Soak::Disturb() {
+  const auto index = static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.worker_count)));
+  Subprocess& worker = *workers_[static_cast<std::size_t>(index)];
+  const double choice = rng_.Uniform();
+  if (choice < 0.45) {
+    worker.Signal(SIGKILL);
+    (void)worker.Wait(seconds(10));
+    StartWorker(index);
+    Count("worker killed");
+  } else if (choice < 0.62) {
+    coordinator_->Signal(SIGKILL);
+    (void)coordinator_->Wait(seconds(10));
+    StartCoordinator();
+    Count("coordinator killed");
+  } else if (choice < 0.76) {
+    const std::vector<pid_t> children = worker.Descendants();
+    if (children.empty()) return;
+    ::kill(children[0], SIGKILL);
+    Count("compute process killed");
+  } else if (choice < 0.86) {
+    worker.Signal(SIGSTOP);
+    Sleep(static_cast<int>(200 + rng_.UniformIndex(2'500)));
+    worker.Signal(SIGCONT);
+    Count("worker stopped for a while");
+  } else if (choice < 0.96) {
+    DamageAnArtefact();
+  } else if (can_fill_disk_) {
+    FillTheDisk();
+  }
+}
+
+// "running", "done", ...; empty when nobody answers.
+std::string Soak::StateOfJob() {
+  const Completed status = Trem({"status", kJob, "--json"});
+  if (status.exit_code != 0) return "";
+  const auto json = nlohmann::json::parse(status.stdout_text, nullptr, false);
+  if (json.is_discarded()) return "";
+  task_count_ = 0;
+  for (const auto& stage : json["stages"]) {
+    task_count_ += stage["total"].get<int>();
+    is_exporting_ = stage["kind"] == "export" && stage["running"].get<int>() + stage["done"].get<int>() > 0;
+  }
+  return json["state"];
+}
+
+bool Soak::AwaitEnd(std::chrono::seconds patience) {
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  while (std::chrono::steady_clock::now() < deadline) {
+    const std::string state = StateOfJob();
+    if (!state.empty() && state != "running") return true;
+    Sleep(300);
+  }
+  return false;
+}
+
+std::vector<std::string> Soak::Run() {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", options_.frame_count) / "sortie.textproto";
+  const fs::path peace = fixture_.NewFolder("peace");
+  const Completed reference = fixture_.Run(RunFixture::RunArguments(sortie, peace / "town.tif", {"--workers", "2", "--quiet"}));
+  if (reference.exit_code != 0) return {"the undisturbed run failed: " + reference.stderr_text};
+
+  StartCoordinator();
+  workers_.resize(static_cast<std::size_t>(options_.worker_count));
+  for (int i = 0; i < options_.worker_count; ++i) StartWorker(i);
+  std::vector<std::string> submit = {"submit", sortie.string(), "--job-id", kJob};
+  const std::vector<std::string> run = RunFixture::RunArguments(sortie, "");
+  for (std::size_t i = 0; i + 1 < run.size(); ++i) {
+    if (run[i] == "--set") submit.insert(submit.end(), {run[i], run[i + 1]});
+  }
+  if (const Completed submitted = Trem(submit); submitted.exit_code != 0) return {"submit failed: " + submitted.stderr_text};
+
+  int disturbances = 0;
+  for (; disturbances < options_.disturbance_count; ++disturbances) {
+    if (disturbances % 8 == 7 && StateOfJob() == "done") break;
+    Sleep(options_.pause_ms_max / 8 + static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.pause_ms_max))));
+    Disturb();
+  }
+  std::vector<std::string> faults;
+  if (!AwaitEnd(seconds(600))) faults.push_back("the job does not end although nothing disturbs it any more");
+  if (const std::string state = StateOfJob(); state != "done") {
+    faults.push_back("the job is " + state + ": " + Trem({"status", kJob}).stdout_text);
+  }
+  const fs::path out = fixture_.NewFolder("out");
+  Completed fetched = Trem({"fetch", kJob, "-o", (out / "town.tif").string()});
+  if (fetched.exit_code != 0) faults.push_back("fetch failed: " + fetched.stderr_text);
+  if (FilesIn(out) != FilesIn(peace)) faults.push_back("the published files are not those of the undisturbed run");
+
+  for (const auto& worker : workers_) worker->Signal(SIGTERM);
+  for (const auto& worker : workers_) {
+    const auto exit = worker->Wait(seconds(30));
+    if (!exit || exit->code != 0) faults.push_back("a worker did not leave: " + worker->Stderr());
+    if (!worker->DescendantsAfter(seconds(5)).empty()) faults.push_back("a worker left a compute process behind");
+  }
+  coordinator_->Signal(SIGTERM);
+  if (const auto exit = coordinator_->Wait(seconds(30)); !exit || exit->code != 0) faults.push_back("the coordinator did not end");
+  return faults;
+}
+
+}  // namespace trem::testing

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "mosaic/base/rng.h"
+#include "tests/e2e/run_fixture.h"
+#include "tests/support/subprocess.h"
+
+namespace trem::testing {
+
+struct SoakOptions {
+  std::uint64_t seed = 1;
+  int frame_count = 140;
+  int worker_count = 4;
+  int disturbance_count = 80;
+  int pause_ms_max = 800;  // Between two disturbances; the least is an eighth of it.
+};
+
+// A job on real processes while they are killed, stopped, starved and lied to.
+//
+// The job is run once in peace, then with `worker_count` workers while a driver, from its seed, kills workers, compute processes and the
+// coordinator with SIGKILL, stops and resumes workers, damages stored artefacts and, where a small file system can be mounted, fills the
+// disk that holds the log. What was killed is started again at once. When it has disturbed often enough, the job must end by itself.
+class Soak {
+ public:
+  explicit Soak(const SoakOptions& options);
+  ~Soak();
+
+  // Runs it. Returns what went wrong: empty means that the published files are the bytes of the undisturbed run and nothing is left behind.
+  std::vector<std::string> Run();
+
+  // How often each disturbance happened.
+  const std::map<std::string, int>& counts() const { return counts_; }
+  int task_count() const { return task_count_; }
+  bool can_fill_disk() const { return can_fill_disk_; }
+
+ private:
+  void StartCoordinator();
+  void StartWorker(int index);
+  Completed Trem(std::vector<std::string> arguments) const;
+  void Disturb();
+  void DamageAnArtefact();
+  void FillTheDisk();
+  std::string StateOfJob();
+  bool AwaitEnd(std::chrono::seconds patience);
+  void Count(const std::string& what) { ++counts_[what]; }
+
+  SoakOptions options_;
+  RunFixture fixture_;
+  Rng rng_;
+  std::filesystem::path state_ = fixture_.folder() / "state";
+  std::filesystem::path store_ = fixture_.folder() / "store";
+  std::string endpoint_;
+  bool can_fill_disk_ = false;
+  std::unique_ptr<Subprocess> coordinator_;
+  std::vector<std::unique_ptr<Subprocess>> workers_;
+  std::map<std::string, int> counts_;
+  int task_count_ = 0;
+  bool is_exporting_ = false;
+};
+
+}  // namespace trem::testing

@@ -1,0 +1,53 @@
+#pragma once
+
+#include <sys/types.h>
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "mosaic/base/status.h"
+#include "worker/app/compute_protocol.h"
+
+namespace trem {
+
+struct ComputeProcessOptions {
+  // The program and its arguments; the socket's number is appended as "--fd N".
+  std::vector<std::string> argv;
+  // A task that reports no progress for this long is taken for hung: its process is killed.
+  std::chrono::milliseconds silence_max{300'000};
+  // A task may take this long at most. 0: no limit.
+  std::chrono::milliseconds task_max{0};
+  // A cancelled task that still runs after this is killed with its process.
+  std::chrono::milliseconds cancel_grace{5'000};
+};
+
+// Computes in a child process, so that what a crash, an out-of-memory kill or a hang in native code ends is the task, not the worker. The
+// child is started with the first task and again after it has died; between tasks it sleeps. All calls belong to one thread at a time.
+class ComputeProcess {
+ public:
+  explicit ComputeProcess(ComputeProcessOptions options) : options_(std::move(options)) {}
+  // Kills the child.
+  ~ComputeProcess();
+  ComputeProcess(const ComputeProcess&) = delete;
+  ComputeProcess& operator=(const ComputeProcess&) = delete;
+
+  // See TaskFunction. When the child dies: kExhausted after SIGKILL, which is how the kernel ends what takes too much memory; kFailed with
+  // the signal's name otherwise.
+  TaskOutcome Run(const v1::TaskSpec& spec, const std::function<bool(double)>& progress);
+
+ private:
+  Status EnsureStarted();
+  TaskOutcome Await(const v1::TaskSpec& spec, const std::function<bool(double)>& progress);
+  // Ends the child, waits for it and says how it died.
+  int Reap(bool kill);
+  TaskOutcome Death(const v1::TaskSpec& spec);
+
+  ComputeProcessOptions options_;
+  pid_t pid_ = -1;
+  int fd_ = -1;
+  ComputeFrameReader reader_;
+};
+
+}  // namespace trem
