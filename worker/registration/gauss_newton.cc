@@ -190,7 +190,7 @@ void Summarise(const Observation& observation, const Reference& reference, const
   // The residuals, not the nominal noise, say how well this frame determines its view.
   const double inflation = std::max(1.0, std::pow(result->residual_rms / observation.noise_sigma, 2));
   normal.a /= inflation;
-  result->support = MeasureSupport(observation, reference, result->view, ModelOf(n));
+  result->support = MeasureSupport(observation, reference, result->view);
   const ParameterMatrix data = normal.a;
   AddPrior(prior, result->view, observation.roi, &normal);
   const ParameterMatrix inverse = normal.a.ldlt().solve(ParameterMatrix::Identity(n + 2, n + 2));

@@ -21,8 +21,11 @@ constexpr int kFrameIterations = 4;
 // The buffer may grow to this multiple of the ROI's footprint before a snapshot is taken: a piece of ground is then in about
 // 1 + 1 / (kGrowth - 1) snapshots.
 constexpr double kGrowth = 1.5;
-// Frames after which a cell is settled enough to register to.
+// Frames after which a cell is settled enough to register to: this part of those that see it in all, within bounds. What fewer frames
+// alias lets new ground drift.
+constexpr float kSettledPart = 0.2F;
 constexpr float kSettledFrames = 2.5F;
+constexpr float kSettledFramesMax = 4.0F;
 // Further iterations on ground that came into view with this frame.
 constexpr int kNewGroundIterations = 10;
 // Standard deviation of whole-image motion at a ROI's corner [px]: reduced images, and ground that is not quite a plane.
@@ -137,12 +140,13 @@ Segment::Segment(const Roi& roi, const SeparablePsf& psf, const EngineOptions& o
       emitted_log_factor_(kConvergedLogFactor),
       buffer_(RoundedOut(Footprint(NominalView(roi, options.ratio)), 16)),
       residuals_(buffer_.extent),
+      place_(roi, options.ratio, options.view_model),
       movers_(options.ratio) {
   view_.scene_from_sensor = NominalView(roi, options.ratio);
   // A weight that is not learnt is for comparisons of predictions, which snapshots take no part in.
   if (scheme_ == nullptr && options.learn_weight) kept_.emplace(InformationOptions{}.huber_sigmas, options.threads);
   const int parameters = ParameterCount(options.view_model);
-  covariance_ = scene_covariance_ = velocity_covariance_ = CornerMatrix::Zero(parameters, parameters);
+  covariance_ = velocity_covariance_ = CornerMatrix::Zero(parameters, parameters);
 }
 
 Roi Segment::Footprint(const PlanarMap& scene_from_sensor) const {
@@ -177,8 +181,7 @@ double Segment::Forgetting() const {
   if (options_.forgetting > 0.0) return options_.forgetting;
   // A cell that will be seen by N frames more must not remember all of them alike: views accumulate error with the ROI's progress, and the
   // oldest samples hold the scene where the first views were. A ROI that stays has one origin and keeps everything.
-  const double dwell_frames = std::min(roi_.width(), roi_.height()) / std::max(progress_px_.norm(), 1e-6);
-  return std::max(1.0 - 1.0 / (kMemoryPerDwell * dwell_frames), kForgettingMin);
+  return std::max(1.0 - 1.0 / (kMemoryPerDwell * DwellFrames()), kForgettingMin);
 }
 
 void Segment::ReviseKeptFrames() {
@@ -293,12 +296,8 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   registration.correlation = 1.0;
   registration.overlap = 1.0;
   registration.converged = true;
-  // How well this frame fixes the scene on its plane; where it has no texture, the next frame's prior decides and not this.
-  ViewPrior prior;
-  prior.mean = view_;
-  prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kMotionSigmaPx * kMotionSigmaPx);
-  scene_covariance_ =
-      EvaluateView(ObservationOf(frame, RoiOf(frame), noise_sigma), ReferenceNow(SeenMin()), prior, view_).corner_covariance;
+  const Observation observation = ObservationOf(frame, RoiOf(frame), noise_sigma);
+  place_.Add({}, place_.Measure(observation, ReferenceNow(SeenMin()), view_), observation, view_, 1.0);
   // A target's frames have ROIs of their own and all lie on its first one; a scheme that keeps frames revisits them itself.
   const bool revisits = scheme_ == nullptr || scheme_->remembers();
   if (extent_ == Extent::kMoves && revisits) early_.emplace_back(frame, registration);
@@ -378,15 +377,25 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   Image<float> weights = frame.weights;
   if (movers_.Hide(request.prior.mean, RoiOf(frame), &weights)) observation.weights = &weights;
   JudgedRegistration judged = RegisterOverJump(observation, reference, request);
-  judged.registration.corner_covariance += scene_covariance_;
+  judged.registration.corner_covariance += SceneCovariance(frame, judged.registration, noise_sigma);
   return judged;
+}
+
+CornerMatrix Segment::SceneCovariance(const FrameInput& frame, const Registration& registration, double noise_sigma) const {
+  const Observation observation = ObservationOf(frame, RoiOf(frame), std::max(noise_sigma, registration.residual_rms));
+  return place_.CovarianceOf(place_.Measure(observation, ReferenceNow(SeenMin()), registration.view), observation, registration.view);
 }
 
 Reference Segment::ReferenceNow(float seen_min) const {
   return {&buffer_.prediction, &buffer_.seen, buffer_.extent.x0, buffer_.extent.y0, options_.ratio, seen_min};
 }
 
-float Segment::SeenMin() const { return std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, kSettledFrames); }
+double Segment::DwellFrames() const { return std::min(roi_.width(), roi_.height()) / std::max(progress_px_.norm(), 1e-6); }
+
+float Segment::SeenMin() const {
+  const float settled = std::clamp(kSettledPart * static_cast<float>(DwellFrames()), kSettledFrames, kSettledFramesMax);
+  return std::clamp(0.75F * static_cast<float>(frame_count_), 0.75F, settled);
+}
 
 Image<float> Segment::PredictFrame(const View& view, const Roi& roi) const {
   Image<float> picture(roi.width(), roi.height(), std::numeric_limits<float>::quiet_NaN());
@@ -420,9 +429,12 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
     buffer_.MoveTo(grown);
     residuals_.MoveTo(grown);
     if (kept_) kept_->MoveTo(grown);
+    place_.Keep(grown);
   }
   const PlanarMap motion = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
-  const CornerMatrix own = registration.corner_covariance - scene_covariance_;
+  const Observation whole = ObservationOf(frame, RoiOf(frame), std::max(noise_sigma, registration.residual_rms));
+  const PlaceField::Texture before = place_.Measure(whole, ReferenceNow(SeenMin()), registration.view);
+  const CornerMatrix own = registration.corner_covariance - place_.CovarianceOf(before, whole, registration.view);
   const double frames = 1.0 + skipped_;
   const ViewModel model = options_.view_model;
   previous_from_current_ = Displace(PlanarMap{}, roi_, CornerVector(CornerDisplacement(PlanarMap{}, motion, roi_, model) / frames));
@@ -433,12 +445,11 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   skipped_ = 0;
   view_ = registration.view;
   covariance_ = own;
-  // Frames of a target lie on the first one's ground, wherever in the sensor.
-  CarrySceneCovariance(extent_ == Extent::kFixed ? PlanarMap{} : motion, registration.support, own);
   // What is unlike the rest of this frame, whose noise may have grown with a gain.
   const Image<float>* const weights = MaskMovers(frame, std::max(noise_sigma, registration.residual_sigma));
   const Observation observation{&frame.pixels, RoiOf(frame), noise_sigma, weights};
   Update(frame, observation, view_, options_.iterations > 0 ? options_.iterations : kFrameIterations);
+  place_.Add(before, place_.Measure(whole, ReferenceNow(SeenMin()), view_), whole, view_, Forgetting());
   KeepForRevisit(frame, weights, registration, noise_sigma);
   return {};
 }

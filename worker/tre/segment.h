@@ -12,6 +12,7 @@
 #include "worker/tre/kept_frames.h"
 #include "worker/tre/mapping_engine.h"
 #include "worker/tre/mover_mask.h"
+#include "worker/tre/place_field.h"
 #include "worker/tre/scene_buffer.h"
 #include "worker/tre/uncertainty.h"
 #include "worker/tre/update_scheme.h"
@@ -26,13 +27,11 @@ namespace trem {
 // there, after which its projection equals the scene's. So the scene lies where the first frame's noise put it, off the plane that the
 // first frame's view defines by an error of covariance S_1 = C_1, and every later view has its own error and this common one:
 //
-//   cov(view t) = own_t + S_t,   S_t+1 = T S_t T' + Q_t
+//   cov(view t) = own_t + S_t
 //
-// T: the scene's error is a field over its plane (affine, or projective), and new ground is placed by the views that extend it, so S is
-// carried to where the ROI's corners are next; an error of scale grows with the way that the ROI has gone. Q: where cells have been seen
-// unequally often, a frame's noise is written into them unequally, 1/n a cell, and no longer cancels (SceneSupport::unevenness), and
-// about as much again enters with each strip of new ground when it is first used. own_t: Registration::corner_covariance of
-// worker/registration.
+// own_t: Registration::corner_covariance of worker/registration. S_t is what the scene's error beneath the frame, a field over its plane,
+// makes of the view; PlaceField follows it from frame to frame: where cells have been seen unequally often, and where new ground is
+// placed by the views that extend the scene, frames' noise is written into it and stays.
 class Segment {
  public:
   using Emit = std::function<Status(const SceneSnapshot&)>;
@@ -89,8 +88,8 @@ class Segment {
   // Constant velocity: p(A_t | A_t-1) of tre.dynamics_sigma_px.
   ViewPrior PredictByDynamics() const;
   Reference ReferenceNow(float seen_min) const;
-  // S of the frame after `motion` (sensor pixels of the last frame from those of the new one), whose own covariance is `own`.
-  void CarrySceneCovariance(const PlanarMap& motion, const SceneSupport& support, const CornerMatrix& own);
+  // What the scene's own error adds to the covariance of a view registered to it.
+  CornerMatrix SceneCovariance(const FrameInput& frame, const Registration& registration, double noise_sigma) const;
   // Once a few frames have resolved what one frame aliases, the first ones are registered again, the first one included; all are moved so
   // that the first one's view is the plane's again, and the scene is accumulated afresh. Without, the plane would keep what the second
   // and third frame's registration to a single frame's scene was off by.
@@ -111,6 +110,8 @@ class Segment {
   void ReviseKeptFrames();
   // Factor on the accumulated information of the cells that this frame sees, from how long the ROI dwells on them.
   double Forgetting() const;
+  // For how many frames the ROI covers a piece of ground at its present progress.
+  double DwellFrames() const;
   Status EmitSnapshot(double noise_sigma, const Emit& emit);
   // The scene that the kept frames lead to: samples accumulated anew, weight found by frames held out, iterations to convergence. A copy:
   // later frames go on from the scene that they were registered to.
@@ -136,7 +137,7 @@ class Segment {
   PlanarMap previous_from_current_;                         // Last measured motion, in sensor pixels.
   PlanarMap lost_from_current_;                             // Motion of frames skipped since then.
   CornerMatrix covariance_;                                 // Of view_, without the scene's, 6 x 6 or 8 x 8.
-  CornerMatrix scene_covariance_;                           // Of the scene's place on its plane: S above.
+  PlaceField place_;                                        // Of the scene's place on its plane: S above.
   CornerMatrix velocity_covariance_;                        // Of previous_from_current_, as a corner displacement a frame.
   Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();   // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.

@@ -30,23 +30,6 @@ void Segment::KeepForRevisit(const FrameInput& frame, const Image<float>* weight
   if (static_cast<int>(early_.size()) == kRevisitedFrames) Revisit(noise_sigma);
 }
 
-void Segment::CarrySceneCovariance(const PlanarMap& motion, const SceneSupport& support, const CornerMatrix& own) {
-  const Eigen::Index n = own.rows();
-  CornerMatrix carried(n, n);
-  for (Eigen::Index k = 0; k < n / 2; ++k) {
-    const Eigen::Vector2d corner(k % 2 == 0 ? roi_.x0 : roi_.x1 - 1, k / 2 == 0 ? roi_.y0 : roi_.y1 - 1);
-    carried.middleRows<2>(2 * k) = motion.LinearisedAt(corner).linear.inverse() * CornerJacobian(roi_, motion * corner, ModelOf(n));
-  }
-  const CornerMatrix before = scene_covariance_;
-  scene_covariance_ = carried * before * carried.transpose();
-  const double variance = own.trace() / static_cast<double>(n);
-  for (Eigen::Index k = 0; k < n / 2; ++k) {
-    for (Eigen::Index l = 0; l < n / 2; ++l) {
-      scene_covariance_.block<2, 2>(2 * k, 2 * l) += 2.0 * variance * support.unevenness(k, l) * Eigen::Matrix2d::Identity();
-    }
-  }
-}
-
 void Segment::Revisit(double noise_sigma) {
   std::vector<std::pair<FrameInput, Registration>> early = std::exchange(early_, {});
   std::vector<Registration> found;
@@ -68,7 +51,7 @@ void Segment::Revisit(double noise_sigma) {
   const View nominal = early.front().second.view;
   const View first = found.front().view;
   const PlanarMap plane_from_scene = nominal.scene_from_sensor * first.scene_from_sensor.Inverse();
-  scene_covariance_ = found.front().corner_covariance;
+  place_.Clear();
   std::fill(buffer_.weight.pixels().begin(), buffer_.weight.pixels().end(), 0.0F);
   std::fill(buffer_.weighted.pixels().begin(), buffer_.weighted.pixels().end(), 0.0F);
   for (std::size_t k = 0; k < found.size(); ++k) {
@@ -76,15 +59,17 @@ void Segment::Revisit(double noise_sigma) {
     view.scene_from_sensor = plane_from_scene * view.scene_from_sensor;
     view.gain /= first.gain;
     view.offset -= view.gain * first.offset;
+    const Observation observation = ObservationOfWhole(early[k].first, roi_, noise_sigma);
     if (k == 0) {
       found[k] = early[k].second;
     } else {
       covariance_ = found[k].corner_covariance;
-      CarrySceneCovariance(found[k - 1].view.scene_from_sensor.Inverse() * view.scene_from_sensor, {}, covariance_);
-      found[k].corner_covariance += scene_covariance_;
+      found[k].corner_covariance += SceneCovariance(early[k].first, found[k], noise_sigma);
     }
     if (kept_) kept_->Revise(early[k].first.frame_index, found[k].view);
-    update_.AddFrame(ObservationOfWhole(early[k].first, roi_, noise_sigma), found[k].view, Footprint(found[k].view.scene_from_sensor), &buffer_);
+    const PlaceField::Texture texture = place_.Measure(observation, ReferenceNow(SeenMin()), view);
+    place_.Add(texture, texture, observation, view, 1.0);
+    update_.AddFrame(observation, view, Footprint(view.scene_from_sensor), &buffer_);
     // The view is what was found again. The residuals stay those of a frame that the scene did not hold yet: they judge predictions.
     Registration revised = early[k].second;
     revised.view = found[k].view;
