@@ -85,6 +85,13 @@ std::string Doubt(const Registration& registration, const Observation& observati
   return {};
 }
 
+// Far from where it was expected and with more than noise left: ground that looks alike may have caught it, which correlates well enough
+// to be believed.
+bool MayBeAnotherPlace(const Registration& registration, const Observation& observation) {
+  constexpr double kFarPx = 2.0;
+  return registration.motion_from_prior_px > kFarPx && registration.residual_rms > kNoiseExplains * observation.noise_sigma;
+}
+
 JudgedRegistration Judge(Registration registration, const Observation& observation, const Reference& reference,
                          const RegistrationRequest& request) {
   JudgedRegistration judged{std::move(registration), {}};
@@ -145,10 +152,12 @@ JudgedRegistration Register(const Observation& observation, const Reference& ref
       break;
   }
   JudgedRegistration judged = GaussNewtonWithPyramids(observation, reference, request);
-  if (judged.doubt.empty()) return judged;
+  const bool believed = judged.doubt.empty();
+  if (believed && !MayBeAnotherPlace(judged.registration, observation)) return judged;
   const Registration captured = RegisterHints(observation, reference, request.prior, HintsUse::kCapture, request.stream);
   JudgedRegistration second = TryFrom(captured.view, 2, observation, reference, request);
-  return second.doubt.empty() ? second : judged;
+  if (!second.doubt.empty()) return judged;
+  return believed && judged.registration.residual_rms <= second.registration.residual_rms ? judged : second;
 }
 
 }  // namespace trem

@@ -95,6 +95,26 @@ TEST(Registration, AMotionBeyondTheLimitIsNotBelieved) {
   EXPECT_EQ(Register(scene.Observe(frame), scene.reference(), request).doubt, "");
 }
 
+// Near enough for the descent to end somewhere that correlates, and far enough for that to be another place.
+TEST(Registration, AutoCapturesFromNearAndFar) {
+  constexpr int kCount = 30;
+  Rng rng({12});
+  for (const auto& [shift_px, turn_deg] : {std::pair{8.0, 6.0}, std::pair{16.0, 0.0}, std::pair{16.0, 12.0}}) {
+    int captured = 0;
+    for (std::uint64_t k = 0; k < kCount; ++k) {
+      const SyntheticScene scene(151, 300 + k);
+      const Image<float> frame = scene.Frame(scene.Nominal(), k);
+      RegistrationRequest request =
+          RequestAbout(scene, testing::TurnedAndMoved(scene, shift_px, turn_deg * std::numbers::pi / 180.0, &rng), 20.0);
+      request.motion_px_max = 60.0;
+      const JudgedRegistration judged = Register(scene.Observe(frame), scene.reference(), request);
+      const double error_px = LargestCornerMotion(judged.registration.view.scene_from_sensor, scene.Nominal().scene_from_sensor, scene.roi);
+      captured += judged.doubt.empty() && error_px < 0.25 ? 1 : 0;
+    }
+    EXPECT_GE(captured, 29) << "of 30 from " << shift_px << " px and " << turn_deg << " degrees";
+  }
+}
+
 TEST(Registration, AnotherCandidateIsTriedWhenThePriorLeadsNowhere) {
   const SyntheticScene scene(81);
   const View truth = scene.Nominal();
