@@ -104,7 +104,11 @@ Result<std::string> RunJobId(const v1::Sortie& sortie) {
     const fs::path folder = fs::path(sortie.source().path()).parent_path();
     AddFingerprint(folder / "telemetry.csv", &digest);
     AddFingerprint(folder.parent_path() / "telemetry.csv", &digest);
+    for (const char* extension : {".srt", ".SRT", ".gpx", ".GPX"}) {
+      AddFingerprint(fs::path(sortie.source().path()).replace_extension(extension), &digest);
+    }
   }
+  if (!sortie.telemetry().dem_path().empty()) AddFingerprint(sortie.telemetry().dem_path(), &digest);
   return "run-" + digest.FinishHex().substr(0, 24);
 }
 

@@ -9,6 +9,7 @@ namespace {
 
 constexpr int kStepsMax = 20'000;
 constexpr double kTolerance_m = 1e-3;
+constexpr double kSlack_m = 0.01;
 
 }  // namespace
 
@@ -61,8 +62,9 @@ std::optional<Eigen::Vector3d> IntersectSurface(const Eigen::Vector3d& position_
   if (!(length > 0.0) || !(direction.z() < -1e-9 * length)) return std::nullopt;
   // Only between the highest and the lowest ground can the ray meet it. Distances s are along `unit`.
   const Eigen::Vector3d unit = direction / length;
-  const double first = std::max(0.0, (surface.highest_m() - position_m.z()) / unit.z());
-  const double last = (surface.lowest_m() - position_m.z()) / unit.z();
+  // The slack leaves a stretch to search where both are the same.
+  const double first = std::max(0.0, (surface.highest_m() - position_m.z() + kSlack_m) / unit.z());
+  const double last = (surface.lowest_m() - position_m.z() - kSlack_m) / unit.z();
   if (!(position_m.z() > surface.lowest_m())) return std::nullopt;
   const auto at = [&](double s) { return Eigen::Vector3d(position_m + s * unit); };
   // Height above ground; nothing where there is none.
@@ -72,7 +74,7 @@ std::optional<Eigen::Vector3d> IntersectSurface(const Eigen::Vector3d& position_
     return z.has_value() ? std::optional<double>(x.z() - *z) : std::nullopt;
   };
   if (surface.spacing() == 0.0) {
-    Eigen::Vector3d x = at(last);
+    Eigen::Vector3d x = at((surface.lowest_m() - position_m.z()) / unit.z());
     x.z() = surface.lowest_m();
     return x;
   }

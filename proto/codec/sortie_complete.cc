@@ -84,6 +84,15 @@ void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
   if (telemetry->has_ground_elevation_m()) {
     check->Number("telemetry.ground_elevation_m", telemetry->ground_elevation_m(), -1000.0, 10000.0);
   }
+  check->Path("telemetry.dem_path", telemetry->dem_path());
+  if (telemetry->has_ground_elevation_m() && !telemetry->dem_path().empty()) {
+    check->Refuse("telemetry.dem_path", "set", "nothing beside telemetry.ground_elevation_m: the ground is one or the other");
+  }
+  if (telemetry->hfov_deg() != 0.0) check->Number("telemetry.hfov_deg", telemetry->hfov_deg(), 0.01, 179.0);
+  if (telemetry->has_yaw_deg()) check->Number("telemetry.yaw_deg", telemetry->yaw_deg(), -360.0, 360.0);
+  if (telemetry->has_pitch_deg()) check->Number("telemetry.pitch_deg", telemetry->pitch_deg(), -90.0, 90.0);
+  if (telemetry->has_roll_deg()) check->Number("telemetry.roll_deg", telemetry->roll_deg(), -360.0, 360.0);
+  if (telemetry->has_time_offset_s()) check->Number("telemetry.time_offset_s", telemetry->time_offset_s(), -86400.0, 86400.0);
 }
 
 void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {

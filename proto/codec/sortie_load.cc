@@ -45,6 +45,7 @@ std::string Absolute(const std::string& path, const fs::path& base) {
 void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
   if (!sortie->source().path().empty()) sortie->mutable_source()->set_path(Absolute(sortie->source().path(), base));
   if (!sortie->telemetry().path().empty()) sortie->mutable_telemetry()->set_path(Absolute(sortie->telemetry().path(), base));
+  if (!sortie->telemetry().dem_path().empty()) sortie->mutable_telemetry()->set_dem_path(Absolute(sortie->telemetry().dem_path(), base));
   v1::Sensor* sensor = sortie->mutable_sensor();
   if (!sensor->psf_kernel_path().empty()) sensor->set_psf_kernel_path(Absolute(sensor->psf_kernel_path(), base));
   if (!sensor->bad_pixel_path().empty()) sensor->set_bad_pixel_path(Absolute(sensor->bad_pixel_path(), base));
@@ -100,7 +101,10 @@ Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std
   TREM_RETURN_IF_ERROR(CompleteSortie(&sortie).WithPrefix(argument));
   TREM_RETURN_IF_ERROR(CheckSource(sortie.source()));
   if (!sortie.telemetry().path().empty() && !sortie.telemetry().ignore()) {
-    TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", sortie.telemetry().path(), "a telemetry.csv"));
+    TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", sortie.telemetry().path(), "a telemetry.csv, .srt or .gpx file"));
+  }
+  if (!sortie.telemetry().dem_path().empty()) {
+    TREM_RETURN_IF_ERROR(CheckThere("telemetry.dem_path: ", sortie.telemetry().dem_path(), "an elevation model"));
   }
   TREM_RETURN_IF_ERROR(CheckSensorFiles(sortie.sensor()));
   return sortie;

@@ -154,6 +154,12 @@ const char* SourceName(v1::TelemetrySource source) {
       return "csv";
     case v1::TELEMETRY_KLV:
       return "klv";
+    case v1::TELEMETRY_EXIF:
+      return "exif";
+    case v1::TELEMETRY_SRT:
+      return "srt";
+    case v1::TELEMETRY_GPX:
+      return "gpx";
     default:
       return "none";
   }
@@ -163,8 +169,10 @@ std::string TelemetryText(const v1::SortieManifest& manifest, const SortieReport
   if (manifest.telemetry_source() == v1::TELEMETRY_NONE) return "none; the mosaic will lie in local coordinates";
   std::string text = manifest.telemetry_path();
   if (manifest.telemetry_source() == v1::TELEMETRY_KLV) text += ", KLV";
+  if (manifest.telemetry_source() == v1::TELEMETRY_EXIF) text += ", EXIF and XMP";
   if (report.posed_count > 0) text += fmt::format(", camera poses for {} of {} frames", report.posed_count, report.frame_count);
   if (report.cornered_count > 0) text += fmt::format(", image corners for {} of {} frames", report.cornered_count, report.frame_count);
+  if (manifest.has_ground()) text += ", ground from " + manifest.ground().path();
   if (report.posed_count > 0) text += " (yaw from true north, pitch -90 looks down, WGS 84)";
   return text;
 }

@@ -18,7 +18,7 @@
 #include "worker/sortie/frame_statistics.h"
 #include "worker/sortie/pixel_mask.h"
 #include "worker/sortie/spans.h"
-#include "worker/sortie/telemetry_sources.h"
+#include "worker/sortie/telemetry_attach.h"
 
 namespace trem {
 namespace {
@@ -46,8 +46,7 @@ class Ingest {
     TREM_ASSIGN_OR_RETURN(source_, OpenFrameSource(sortie_));
     StartManifest();
     // Telemetry first: a bad file should be reported before an hour of decoding.
-    TREM_ASSIGN_OR_RETURN(const FoundTelemetry telemetry,
-                          FindTelemetry(sortie_, static_cast<double>(source_->width_px()) / source_->height_px()));
+    TREM_ASSIGN_OR_RETURN(const FoundTelemetry telemetry, FindTelemetry(sortie_, source_->width_px(), source_->height_px()));
     TREM_ASSIGN_OR_RETURN(mask_, ReadPixelMask(sortie_.sensor(), source_->width_px(), source_->height_px()));
     if (mask_.has_value()) filler_.emplace(*mask_);
     TREM_RETURN_IF_ERROR(ReadFrames());

@@ -8,6 +8,7 @@
 
 #include "worker/sortie/image_sequence_reader.h"
 #include "worker/sortie/telemetry_match.h"
+#include "worker/sortie/telemetry_sources.h"
 
 namespace trem {
 namespace fs = std::filesystem;
@@ -81,12 +82,14 @@ Status SourceGuard::Check(const v1::Sortie& sortie) const {
   const bool is_there = IsVirtual(source.string()) || fs::exists(source, error);
   TREM_RETURN_IF_ERROR(CheckPath("source.path", is_there ? source : ImageFolder(source.string())));
   TREM_RETURN_IF_ERROR(CheckPath("telemetry.path", sortie.telemetry().path()));
+  TREM_RETURN_IF_ERROR(CheckPath("telemetry.dem_path", sortie.telemetry().dem_path()));
   TREM_RETURN_IF_ERROR(CheckPath("sensor.psf_kernel_path", sortie.sensor().psf_kernel_path()));
   TREM_RETURN_IF_ERROR(CheckPath("sensor.bad_pixel_path", sortie.sensor().bad_pixel_path()));
   TREM_RETURN_IF_ERROR(CheckPath("sensor.mask_path", sortie.sensor().mask_path()));
   if (IsVirtual(source.string())) return {};
   TREM_RETURN_IF_ERROR(CheckEntries(source));
-  // A telemetry.csv may lie above the source, and be a link.
+  // Tracks beside a video may be links, too; a telemetry.csv may lie above the source, and be a link.
+  for (const fs::path& track : TrackFilesBeside(sortie)) TREM_RETURN_IF_ERROR(CheckPath("telemetry", track));
   return CheckPath("telemetry", FindTelemetryCsv(sortie).value_or(""));
 }
 

@@ -1,24 +1,20 @@
 #include "worker/sortie/telemetry_sources.h"
 
-#include <fmt/format.h>
-
-#include <cmath>
+#include <algorithm>
+#include <cctype>
 #include <filesystem>
-#include <numbers>
 
+#include "mosaic/base/file.h"
 #include "worker/sortie/frame_source.h"
 #include "worker/sortie/image_sequence_reader.h"
 #include "worker/sortie/klv_telemetry.h"
+#include "worker/sortie/photo_telemetry.h"
+#include "worker/sortie/sortie_ground.h"
 #include "worker/sortie/telemetry_match.h"
-#include "worker/telemetry/telemetry_track.h"
+#include "worker/telemetry/track_files.h"
 
 namespace trem {
 namespace {
-
-constexpr double kRad = std::numbers::pi / 180.0;
-constexpr double kGroundSpread_m = 50.0;
-// Pixels whose sides differ by less do no harm that shows.
-constexpr double kSquareTolerance = 0.03;
 
 bool IsVideo(const v1::Sortie& sortie) {
   std::error_code error;
@@ -26,117 +22,20 @@ bool IsVideo(const v1::Sortie& sortie) {
   return std::filesystem::is_regular_file(path, error) && !HasImageExtension(path);
 }
 
-AuditOptions OptionsOf(const v1::Sortie& sortie, double aspect) {
-  AuditOptions options;
-  options.aspect = aspect;
-  if (sortie.telemetry().has_ground_elevation_m()) options.ground_elevation_m = sortie.telemetry().ground_elevation_m();
-  return options;
+std::string LowerExtension(const std::filesystem::path& path) {
+  std::string extension = path.extension().string();
+  for (char& c : extension) c = static_cast<char>(std::tolower(static_cast<unsigned char>(c)));
+  return extension;
 }
 
-class Attacher {
- public:
-  Attacher(const FoundTelemetry& found, v1::SortieManifest* manifest) : found_(found), manifest_(*manifest), track_(found.audit.poses) {}
-
-  void Run() {
-    ShiftToFrames();
-    int posed = 0;
-    int cornered = 0;
-    int interpolated = 0;
-    for (v1::ManifestFrame& frame : *manifest_.mutable_frames()) {
-      const double time_s = frame.time_s() + zero_s_;
-      const std::optional<TrackPose> pose = track_.At(time_s);
-      if (pose.has_value()) {
-        *frame.mutable_pose() = ToPose(*pose);
-        ++posed;
-        interpolated += pose->interpolated ? 1 : 0;
-      }
-      const std::optional<std::array<GeoPoint, 4>> corners = CornersAt(found_.audit.corners, time_s);
-      if (!corners.has_value()) continue;
-      ++cornered;
-      for (const GeoPoint& corner : *corners) {
-        frame.add_corner_lon_lat_deg(corner.longitude_deg);
-        frame.add_corner_lon_lat_deg(corner.latitude_deg);
-      }
-    }
-    const int frames = manifest_.frames_size();
-    if (interpolated > 0) {
-      Note(v1::INFO, "poses_interpolated",
-           fmt::format("poses of {} of {} frames are interpolated between records {:.3g} s apart", interpolated, frames,
-                       track_.interval_s()));
-    }
-    const int placed = std::max(posed, cornered);
-    if (placed < frames) {
-      Note(placed == 0 ? v1::WARNING : v1::INFO, "frames_without_telemetry",
-           fmt::format("{} of {} frames lie in gaps of the telemetry of more than {:g} s or beyond its ends", frames - placed, frames,
-                       kTrackGap_s));
-    }
-    NotePixelShape();
-    NoteGround();
-  }
-
- private:
-  void Note(v1::Severity severity, const std::string& code, const std::string& message) {
-    *manifest_.add_notes() = MakeNote(severity, code, found_.path, message);
-  }
-
-  // Finds what time 0 of the frames is on the telemetry's clock.
-  void ShiftToFrames() {
-    if (found_.time_base_s <= 0.0 || manifest_.frames_size() == 0) return;
-    zero_s_ = static_cast<double>(manifest_.frames(0).pts()) * found_.time_base_s - manifest_.frames(0).time_s();
-  }
-
-  v1::Pose ToPose(const TrackPose& sample) const {
-    const CameraSample& camera = sample.camera;
-    v1::Pose pose;
-    pose.set_latitude_deg(camera.latitude_deg);
-    pose.set_longitude_deg(camera.longitude_deg);
-    pose.set_altitude_m(camera.altitude_m);
-    pose.set_yaw_deg(camera.yaw_deg);
-    pose.set_pitch_deg(camera.pitch_deg);
-    pose.set_roll_deg(camera.roll_deg);
-    const double aspect = static_cast<double>(manifest_.width_px()) / manifest_.height_px();
-    pose.set_hfov_deg(camera.hfov_deg.has_value() ? *camera.hfov_deg
-                                                  : 2.0 * std::atan(aspect * std::tan(0.5 * camera.vfov_deg.value_or(0.0) * kRad)) / kRad);
-    pose.set_position_sigma_m(sample.uncertainty.position_m);
-    pose.set_attitude_sigma_deg(sample.uncertainty.attitude_deg);
-    return pose;
-  }
-
-  void NotePixelShape() {
-    for (const CameraSample& camera : track_.samples()) {
-      if (!camera.hfov_deg.has_value() || !camera.vfov_deg.has_value()) continue;
-      const double stated = std::tan(0.5 * *camera.hfov_deg * kRad) / std::tan(0.5 * *camera.vfov_deg * kRad);
-      const double high = static_cast<double>(manifest_.width_px()) / manifest_.height_px() / stated;
-      if (std::abs(high - 1.0) > kSquareTolerance) {
-        Note(v1::WARNING, "pixels_not_square",
-             fmt::format(
-                 "a field of view of {:g} x {:g} degrees on {} x {} pixels makes pixels {:.3f} times as high as wide; square ones of the "
-                 "horizontal field of view are assumed",
-                 *camera.hfov_deg, *camera.vfov_deg, manifest_.width_px(), manifest_.height_px(), high));
-      }
-      return;
-    }
-  }
-
-  void NoteGround() {
-    manifest_.set_ground_elevation_m(found_.audit.ground_elevation_m);
-    if (found_.audit.poses.empty()) return;
-    if (found_.audit.ground_spread_m > kGroundSpread_m) {
-      Note(v1::WARNING, "ground_not_level",
-           fmt::format("the stated elevation of the ground varies by {:.0f} m; its median, {:.1f} m, is used for all frames",
-                       found_.audit.ground_spread_m, found_.audit.ground_elevation_m));
-    }
-    if (!found_.audit.ground_known) {
-      Note(v1::INFO, "ground_elevation_assumed",
-           "nothing tells the elevation of the ground and telemetry.ground_elevation_m is not set: 0 m is assumed");
-    }
-  }
-
-  const FoundTelemetry& found_;
-  v1::SortieManifest& manifest_;
-  TelemetryTrack track_;
-  double zero_s_ = 0.0;
-};
+FixedPointing PointingOf(const v1::Telemetry& spec) {
+  FixedPointing fixed;
+  if (spec.hfov_deg() > 0.0) fixed.hfov_deg = spec.hfov_deg();
+  if (spec.has_yaw_deg()) fixed.yaw_deg = spec.yaw_deg();
+  if (spec.has_pitch_deg()) fixed.pitch_deg = spec.pitch_deg();
+  if (spec.has_roll_deg()) fixed.roll_deg = spec.roll_deg();
+  return fixed;
+}
 
 // Takes the audit's verdict over: poses or corners are used, or a note says why not.
 void Judge(TelemetryAudit audit, v1::TelemetrySource source, const std::string& path, FoundTelemetry* found) {
@@ -153,52 +52,131 @@ void Judge(TelemetryAudit audit, v1::TelemetrySource source, const std::string& 
   found->audit = std::move(audit);
 }
 
-Status FindKlv(const v1::Sortie& sortie, double aspect, FoundTelemetry* found) {
-  const std::string& path = sortie.source().path();
-  Result<KlvTelemetry> klv = ReadKlvTelemetry(path);
-  // What cannot be opened is the frame reader's to report.
-  if (!klv.ok()) return {};
-  found->notes.insert(found->notes.end(), klv->notes.begin(), klv->notes.end());
-  if (klv->chosen < 0) return {};
-  const KlvStreamContent& content = klv->streams[klv->chosen];
-  found->time_base_s = content.counts_from_first ? 0.0 : klv->time_base_s;
-  Judge(AuditTelemetry(content.records, OptionsOf(sortie, aspect)), v1::TELEMETRY_KLV, path, found);
-  return {};
-}
+class Finder {
+ public:
+  Finder(const v1::Sortie& sortie, int width_px, int height_px) : sortie_(sortie), width_px_(width_px), height_px_(height_px) {}
+
+  Result<FoundTelemetry> Find() {
+    if (sortie_.telemetry().ignore()) return std::move(found_);
+    const std::string& named = sortie_.telemetry().path();
+    if (LowerExtension(named) == ".srt" || LowerExtension(named) == ".gpx") {
+      TREM_RETURN_IF_ERROR(ReadTrackFile(named));
+      return std::move(found_);
+    }
+    const std::optional<std::string> csv = FindTelemetryCsv(sortie_);
+    if (csv.has_value()) {
+      TREM_ASSIGN_OR_RETURN(found_.table, ReadTelemetryCsv(*csv));
+      found_.source = v1::TELEMETRY_CSV;
+      found_.path = *csv;
+      return std::move(found_);
+    }
+    if (IsVideo(sortie_)) {
+      TREM_RETURN_IF_ERROR(FindKlv());
+      if (found_.source == v1::TELEMETRY_NONE) TREM_RETURN_IF_ERROR(FindTrackFile());
+    } else {
+      TREM_RETURN_IF_ERROR(FindPhotos());
+    }
+    return std::move(found_);
+  }
+
+ private:
+  // Fills in what the user knows, audits, and judges.
+  Status Use(std::vector<TelemetryRecord> records, bool absolute, v1::TelemetrySource source, const std::string& path) {
+    FillPointing(PointingOf(sortie_.telemetry()), &records);
+    AuditOptions options;
+    options.aspect = static_cast<double>(width_px_) / height_px_;
+    options.absolute = absolute;
+    if (sortie_.telemetry().has_ground_elevation_m()) options.ground_elevation_m = sortie_.telemetry().ground_elevation_m();
+    std::optional<GriddedGround> surface;
+    if (!sortie_.telemetry().dem_path().empty()) {
+      TREM_ASSIGN_OR_RETURN(surface, GroundAround(sortie_.telemetry().dem_path(), records));
+      options.surface = &*surface;
+    }
+    Judge(AuditTelemetry(records, options), source, path, &found_);
+    return {};
+  }
+
+  Status FindKlv() {
+    const std::string& path = sortie_.source().path();
+    Result<KlvTelemetry> klv = ReadKlvTelemetry(path);
+    // What cannot be opened is the frame reader's to report.
+    if (!klv.ok()) return {};
+    found_.notes.insert(found_.notes.end(), klv->notes.begin(), klv->notes.end());
+    if (klv->chosen < 0) return {};
+    const KlvStreamContent& content = klv->streams[klv->chosen];
+    TREM_RETURN_IF_ERROR(Use(content.records, false, v1::TELEMETRY_KLV, path));
+    if (found_.source == v1::TELEMETRY_KLV) found_.time_base_s = content.counts_from_first ? 0.0 : klv->time_base_s;
+    return {};
+  }
+
+  Status FindTrackFile() {
+    for (const std::filesystem::path& path : TrackFilesBeside(sortie_)) {
+      const Status status = ReadTrackFile(path.string());
+      // Subtitles may be anything: what nobody named may be unreadable.
+      if (status.ok()) return {};
+      if (!sortie_.telemetry().dem_path().empty()) return status;
+      found_.notes.push_back(MakeNote(v1::WARNING, "telemetry_refused", path.string(), "the telemetry is not used: " + status.message()));
+    }
+    return {};
+  }
+
+  Status ReadTrackFile(const std::string& path) {
+    const bool srt = LowerExtension(path) == ".srt";
+    TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(path, srt ? kSrtBytesMax : kGpxBytesMax));
+    std::vector<TelemetryRecord> records;
+    if (srt) {
+      TREM_ASSIGN_OR_RETURN(records, ParseDjiSrt(text, path, static_cast<double>(width_px_) / height_px_));
+    } else {
+      TREM_ASSIGN_OR_RETURN(records, ParseGpx(text, path));
+    }
+    return Use(std::move(records), true, srt ? v1::TELEMETRY_SRT : v1::TELEMETRY_GPX, path);
+  }
+
+  Status FindPhotos() {
+    const std::string& path = sortie_.source().path();
+    const Result<PhotoTelemetry> photos = ReadPhotoTelemetry(path, width_px_, height_px_);
+    if (!photos.ok() || photos->names.empty()) return {};
+    found_.notes.insert(found_.notes.end(), photos->notes.begin(), photos->notes.end());
+    TREM_RETURN_IF_ERROR(Use(photos->records, true, v1::TELEMETRY_EXIF, path));
+    if (found_.source == v1::TELEMETRY_NONE) return {};
+    TelemetryTable table;
+    table.has_pose = true;
+    for (const CameraSample& pose : found_.audit.poses) {
+      const auto number = static_cast<std::size_t>(pose.time_s + 0.5);
+      TelemetryRow row;
+      row.line = static_cast<int>(number) + 1;
+      row.frame = photos->names[number];
+      if (!photos->times_s.empty()) row.time_s = photos->times_s[number];
+      row.pose = TelemetryPose{pose.latitude_deg, pose.longitude_deg, pose.altitude_m, pose.yaw_deg,
+                               pose.pitch_deg,    pose.roll_deg,      pose.hfov_deg,   pose.vfov_deg};
+      if (found_.audit.ground_known) row.ground_elevation_m = found_.audit.ground_elevation_m;
+      table.rows.push_back(std::move(row));
+    }
+    found_.table = std::move(table);
+    return {};
+  }
+
+  const v1::Sortie& sortie_;
+  int width_px_;
+  int height_px_;
+  FoundTelemetry found_;
+};
 
 }  // namespace
 
-Result<FoundTelemetry> FindTelemetry(const v1::Sortie& sortie, double aspect) {
-  FoundTelemetry found;
-  if (sortie.telemetry().ignore()) return found;
-  const std::optional<std::string> csv = FindTelemetryCsv(sortie);
-  if (csv.has_value()) {
-    TREM_ASSIGN_OR_RETURN(found.table, ReadTelemetryCsv(*csv));
-    found.source = v1::TELEMETRY_CSV;
-    found.path = *csv;
-    return found;
+std::vector<std::filesystem::path> TrackFilesBeside(const v1::Sortie& sortie) {
+  std::vector<std::filesystem::path> files;
+  if (!IsVideo(sortie)) return files;
+  std::error_code error;
+  for (const char* extension : {".srt", ".SRT", ".gpx", ".GPX"}) {
+    const std::filesystem::path path = std::filesystem::path(sortie.source().path()).replace_extension(extension);
+    if (std::filesystem::is_regular_file(path, error)) files.push_back(path);
   }
-  if (IsVideo(sortie)) TREM_RETURN_IF_ERROR(FindKlv(sortie, aspect, &found));
-  return found;
+  return files;
 }
 
-Status AttachFoundTelemetry(const FoundTelemetry& found, const v1::Sortie& sortie, v1::SortieManifest* manifest) {
-  for (const v1::Note& note : found.notes) *manifest->add_notes() = note;
-  if (found.source == v1::TELEMETRY_NONE) {
-    manifest->set_ground_elevation_m(sortie.telemetry().ground_elevation_m());
-    *manifest->add_notes() =
-        MakeNote(v1::INFO, "no_telemetry", sortie.source().path(),
-                 sortie.telemetry().ignore() ? "telemetry is ignored as asked for; the mosaic will be in local coordinates"
-                 : found.notes.empty()       ? "no telemetry was found; the mosaic will be in local coordinates"
-                                             : "no usable telemetry was found; the mosaic will be in local coordinates");
-    return {};
-  }
-  if (found.table.has_value()) return AttachTelemetry(*found.table, found.path, sortie.telemetry(), manifest);
-  manifest->set_telemetry_source(found.source);
-  manifest->set_telemetry_path(found.path);
-  manifest->set_telemetry_summary(found.audit.explanation);
-  Attacher(found, manifest).Run();
-  return {};
+Result<FoundTelemetry> FindTelemetry(const v1::Sortie& sortie, int width_px, int height_px) {
+  return Finder(sortie, width_px, height_px).Find();
 }
 
 }  // namespace trem

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <filesystem>
 #include <optional>
 #include <string>
 #include <vector>
@@ -16,20 +17,22 @@ namespace trem {
 struct FoundTelemetry {
   v1::TelemetrySource source = v1::TELEMETRY_NONE;
   std::string path;                     // Of the file that it is in.
-  std::optional<TelemetryTable> table;  // TELEMETRY_CSV.
-  TelemetryAudit audit;                 // Every other source.
+  std::optional<TelemetryTable> table;  // TELEMETRY_CSV and TELEMETRY_EXIF: rows by frame...
+  TelemetryAudit audit;                 // ... every other source: poses by time. EXIF has this too.
   // Seconds per unit of the frames' pts, when the audit's times are on the container's clock; 0: they are on the frames' own.
   double time_base_s = 0.0;
   std::vector<v1::Note> notes;  // What was found and left, and why.
 };
 
-// Looks for telemetry in this order and takes the first that is usable: telemetry.path; telemetry.csv in the source's folder or (for
-// images) its parent; KLV in the video's data streams. Nothing (TELEMETRY_NONE, with notes) when there is none or telemetry.ignore is set.
-// kInvalidInput and the like only for a file that the user named or a telemetry.csv: telemetry inside the recording that cannot be used
-// is left with a warning.
-Result<FoundTelemetry> FindTelemetry(const v1::Sortie& sortie, double aspect);
+// Files beside a video that bear its name and the extension of a track (.srt, .gpx), in the order in which they are tried.
+std::vector<std::filesystem::path> TrackFilesBeside(const v1::Sortie& sortie);
 
-// Gives the frames of `manifest` poses and corners at their times. Adds the notes.
-Status AttachFoundTelemetry(const FoundTelemetry& found, const v1::Sortie& sortie, v1::SortieManifest* manifest);
+// Looks for telemetry in this order and takes the first that is usable: telemetry.path (.srt, .gpx, anything else a telemetry.csv);
+// telemetry.csv in the source's folder or (for images) its parent; of a video, KLV in its data streams, then a file of its name with the
+// extension .srt or .gpx; of images, EXIF and XMP. Nothing (TELEMETRY_NONE, with notes) when there is none or telemetry.ignore is set.
+// `width_px`, `height_px`: of the frames.
+// kInvalidInput and the like only for a file that the user named, a telemetry.csv or an elevation model that does not cover the place:
+// telemetry that was found by itself and cannot be used is left with a warning.
+Result<FoundTelemetry> FindTelemetry(const v1::Sortie& sortie, int width_px, int height_px);
 
 }  // namespace trem

@@ -56,6 +56,14 @@ TEST(GroundSurface, RaysMeetASlopeWhereTheClosedFormSays) {
   }
 }
 
+TEST(GroundSurface, RaysMeetAGridOfOneElevation) {
+  const GriddedGround ground = Grid([](double, double) { return 40.0; });
+  const auto x = IntersectSurface({3.0, 5.0, 100.0}, {0.0, 0.0, -1.0}, ground);
+  ASSERT_TRUE(x.has_value());
+  EXPECT_LT((*x - Eigen::Vector3d(3.0, 5.0, 40.0)).norm(), 2e-3);
+  EXPECT_TRUE(IntersectSurface({3.0, 5.0, 100.0}, {1.0, 0.5, -1.0}, ground).has_value());
+}
+
 TEST(GroundSurface, ARidgeHidesWhatLiesBehindIt) {
   const GriddedGround ground = Grid([](double x, double) { return std::abs(x) < 15.0 ? 100.0 : 0.0; });
   // Would reach x = 100 on the plain, but meets the ridge's flank first.

@@ -110,7 +110,13 @@ TEST(CompleteSortie, RefusesWhatLiesBeyondAndNamesTheField) {
                                                                                            {"source.frame_rate_hz=-25"},
                                                                                            {"telemetry.position_sigma_m=-1"},
                                                                                            {"telemetry.attitude_sigma_deg=91"},
-                                                                                           {"telemetry.ground_elevation_m=1e5"}}) {
+                                                                                           {"telemetry.ground_elevation_m=1e5"},
+                                                                                           {"telemetry.dem_path=/d.tif", "telemetry.ground_elevation_m=3"},
+                                                                                           {"telemetry.hfov_deg=180"},
+                                                                                           {"telemetry.yaw_deg=361"},
+                                                                                           {"telemetry.pitch_deg=-91"},
+                                                                                           {"telemetry.roll_deg=361"},
+                                                                                           {"telemetry.time_offset_s=1e6"}}) {
     const Status status = CompleteWith(assignments);
     const std::string field = assignments.front().substr(0, assignments.front().find('='));
     EXPECT_EQ(status.code(), StatusCode::kInvalidInput) << assignments.front();

@@ -75,6 +75,8 @@ TEST_F(LoadSortieTest, SaysWhatIsNotThere) {
   EXPECT_THAT(SourceOf("leg/spec.textproto"), HasSubstr("not found: source.path: no such file or folder: " + In("leg/gone")));
   Write("leg/spec.textproto", "source { path: \"frames\" } telemetry { path: \"gone.csv\" }");
   EXPECT_THAT(SourceOf("leg/spec.textproto"), HasSubstr("not found: telemetry.path: no such file or folder: " + In("leg/gone.csv")));
+  Write("leg/spec.textproto", "source { path: \"frames\" } telemetry { dem_path: \"gone.tif\" }");
+  EXPECT_THAT(SourceOf("leg/spec.textproto"), HasSubstr("not found: telemetry.dem_path: no such file or folder: " + In("leg/gone.tif")));
 }
 
 TEST_F(LoadSortieTest, RefusesSpecsWithMistakesByFileAndPlace) {

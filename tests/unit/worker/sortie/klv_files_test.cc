@@ -132,7 +132,7 @@ TEST(KlvFiles, TelemetryThatContradictsItselfIsRefusedWithTheReason) {
   SKIP_WITHOUT(data)
   v1::Sortie sortie;
   sortie.mutable_source()->set_path((*data / "fmv/h264_klv.ts").string());
-  const Result<FoundTelemetry> found = FindTelemetry(sortie, 4.0 / 3.0);
+  const Result<FoundTelemetry> found = FindTelemetry(sortie, 160, 120);
   ASSERT_TRUE(found.ok());
   EXPECT_EQ(found->source, v1::TELEMETRY_NONE);
   EXPECT_THAT(found->notes, Contains(Property(&v1::Note::message, HasSubstr("the sensor and what it sees are"))));
