@@ -217,6 +217,7 @@ int main(int argc, char** argv) {
   app.add_option("--noise", s.scene.noise_sigma, "Grey levels");
   app.add_option("--trials", s.trials, "A seed (and an entry of the capture table)");
   app.add_option("--seeds", s.seeds, "Scenes");
+  app.add_option("--settle", s.scene.settle_frames, "Frames that the engine's scene is made of; 0: the blurred truth");
   app.add_option("--only", s.only, "Methods whose name begins with this");
   app.add_option("--margin", s.margin_px, "Scene beyond the ROI at the start, sensor pixels");
   CLI11_PARSE(app, argc, argv);

@@ -5,11 +5,14 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/video/tracking.hpp>
 
 #include "mosaic/base/rng.h"
 #include "worker/sensor/blur.h"
+#include "worker/tre/automatic_regularisation.h"
+#include "worker/tre/information_update.h"
 
 namespace trem::bench {
 namespace {
@@ -45,7 +48,44 @@ RegistrationScene::RegistrationScene(const SceneOptions& options) : options_(opt
   const int side = kRatio * (sequence_.roi_px + 2 * (options.margin_px + kBorderPx));
   truth_ = options.truth.empty() ? testing::ProceduralTruth(side, side, options.seed) : LoadTruth(options.truth, side, side);
   prediction_ = Image<float>(side, side);
-  Blur(*MakePsf({sequence_.psf_sigma_px, sequence_.fill_factor}, kRatio)).Apply(truth_, &prediction_);
+  seen_ = Image<float>(side, side, 100.0F);
+  if (options.settle_frames > 0) {
+    Settle();
+  } else {
+    Blur(*MakePsf({sequence_.psf_sigma_px, sequence_.fill_factor}, kRatio)).Apply(truth_, &prediction_);
+  }
+}
+
+void RegistrationScene::Settle() {
+  constexpr int kFirstIterations = 20;
+  constexpr int kFrameIterations = 4;
+  constexpr double kSpreadPx = 6.0;  // Of the views, so that ground around the ROI is seen, too.
+  constexpr std::uint64_t kStream = 1'000'000;
+  const SeparablePsf psf = *MakePsf({sequence_.psf_sigma_px, sequence_.fill_factor}, kRatio);
+  InformationUpdate update(Blur(psf), {});
+  const AutomaticRegularisation regularisation(psf, StructurePriorKind::kHuberTv, kRatio, false);
+  const Roi whole{0, 0, truth_.width(), truth_.height()};
+  SceneBuffer buffer(whole);
+  double mean = 0.0;
+  for (const float cell : truth_.pixels()) mean += cell / static_cast<double>(truth_.pixels().size());
+  std::fill(buffer.scene.pixels().begin(), buffer.scene.pixels().end(), static_cast<float>(mean));
+  buffer.previous = buffer.scene;
+  Rng rng({options_.seed, 73});
+  for (int k = 0; k < options_.settle_frames; ++k) {
+    CornerVector d(6);
+    for (double& element : d) element = 0.5 * rng.Normal();
+    const Eigen::Vector2d shift = kSpreadPx * Eigen::Vector2d(rng.Normal(), rng.Normal());
+    for (int i = 0; i < 6; ++i) d(i) += shift(i % 2);
+    const Frame frame = Render(d, kStream + static_cast<std::uint64_t>(k));
+    update.Predict(whole, &buffer);
+    update.AddFrame(Observe(frame), frame.truth, whole, &buffer);
+    update.UpdateSeen(whole, kRatio, &buffer);
+    const StructureWeight weight = regularisation.Weight(whole, buffer, options_.noise_sigma);
+    update.set_prior({StructurePriorKind::kHuberTv, weight.delta});
+    update.Iterate(whole, k == 0 ? kFirstIterations : kFrameIterations, weight.lambda, &buffer);
+  }
+  prediction_ = buffer.prediction;
+  seen_ = buffer.seen;
 }
 
 View RegistrationScene::Nominal() const {
@@ -71,8 +111,11 @@ RegistrationScene::Window RegistrationScene::WindowAround(const View& view, doub
   const int x1 = std::min(prediction_.width(), static_cast<int>(std::ceil(high.x() + kRatio * margin_px)) + 1);
   const int y1 = std::min(prediction_.height(), static_cast<int>(std::ceil(high.y() + kRatio * margin_px)) + 1);
   window.prediction = Image<float>(x1 - window.x0, y1 - window.y0);
-  window.seen = Image<float>(x1 - window.x0, y1 - window.y0, 100.0F);
-  for (int y = window.y0; y < y1; ++y) std::copy(prediction_.row(y) + window.x0, prediction_.row(y) + x1, window.prediction.row(y - window.y0));
+  window.seen = window.prediction;
+  for (int y = window.y0; y < y1; ++y) {
+    std::copy(prediction_.row(y) + window.x0, prediction_.row(y) + x1, window.prediction.row(y - window.y0));
+    std::copy(seen_.row(y) + window.x0, seen_.row(y) + x1, window.seen.row(y - window.y0));
+  }
   return window;
 }
 
@@ -113,7 +156,8 @@ bool RegisterEcc(const Observation& observation, const Reference& reference, con
   };
   const PlanarMap& map = start.scene_from_sensor;
   // Template coordinates are the ROI's, input coordinates the reference's.
-  const Eigen::Vector2d offset = map * Eigen::Vector2d(observation.roi.x0, observation.roi.y0) - Eigen::Vector2d(reference.x0, reference.y0);
+  const Eigen::Vector2d offset =
+      map * Eigen::Vector2d(observation.roi.x0, observation.roi.y0) - Eigen::Vector2d(reference.x0, reference.y0);
   cv::Mat warp = (cv::Mat_<float>(2, 3) << map.linear(0, 0), map.linear(0, 1), offset.x(), map.linear(1, 0), map.linear(1, 1), offset.y());
   try {
     // No extra smoothing: the reference is blurred already, and it did better without.
@@ -141,8 +185,12 @@ double Quantile(std::vector<double> values, double part) {
   return values[std::min(values.size() - 1, static_cast<std::size_t>(part * static_cast<double>(values.size())))];
 }
 
-double NowMs() {
-  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now().time_since_epoch()).count();
+double NowMs() { return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now().time_since_epoch()).count(); }
+
+double CpuMs() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return 1e3 * static_cast<double>(now.tv_sec) + 1e-6 * static_cast<double>(now.tv_nsec);
 }
 
 }  // namespace trem::bench

@@ -10,15 +10,17 @@
 namespace trem::bench {
 
 // A settled scene and frames of it at known views, for benches of registration. The frames are rendered from the truth by dense quadrature
-// (tests/support/rendered_sequence.h), the reference is the truth blurred by the engine's own point spread function: what a scene that has
-// seen enough frames converges to.
+// (tests/support/rendered_sequence.h).
 struct SceneOptions {
   int width = 151;  // Of the ROI [sensor px].
   int height = 151;
   double noise_sigma = 2.0;
-  int margin_px = 60;     // Scene around the ROI at the nominal view.
-  std::string truth;      // Picture; empty: procedural.
+  int margin_px = 60;  // Scene around the ROI at the nominal view.
+  std::string truth;   // Picture; empty: procedural.
   std::uint64_t seed = 1;
+  // 0: the reference is the truth blurred by the engine's own point spread function, what a scene converges to. More: it is the scene that
+  // the engine's update makes of so many noisy frames at their true views.
+  int settle_frames = 0;
 };
 
 struct Frame {
@@ -48,11 +50,14 @@ class RegistrationScene {
   ViewPrior PriorAbout(const View& mean, double sigma_px) const;
 
  private:
+  void Settle();
+
   SceneOptions options_;
   testing::SequenceOptions sequence_;
   Roi roi_;
   Image<float> truth_;
   Image<float> prediction_;
+  Image<float> seen_;
 };
 
 // Displacements of the three corners by a translation [px] and a rotation about the ROI's centre.
@@ -68,5 +73,7 @@ double ErrorPx(const View& view, const View& truth, const Roi& roi);
 double Quantile(std::vector<double> values, double part);
 
 double NowMs();
+// CPU time of the calling thread.
+double CpuMs();
 
 }  // namespace trem::bench
