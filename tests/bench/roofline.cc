@@ -1,10 +1,11 @@
 #include "tests/bench/roofline.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cstring>
 #include <map>
 #include <vector>
+
+#include "tests/bench/cpu_clock.h"
 
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "tests/bench/roofline.cc"
@@ -53,9 +54,9 @@ HWY_EXPORT(MultiplyAdd);
 namespace {
 
 double SecondsOf(const auto& work) {
-  const auto start = std::chrono::steady_clock::now();
+  const double start = ThreadCpuMs();
   work();
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  return 1e-3 * (ThreadCpuMs() - start);
 }
 
 constexpr int kTrials = 7;

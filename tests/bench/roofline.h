@@ -6,7 +6,7 @@
 
 namespace trem::bench {
 
-// What one core of this machine can do, measured in the same run as the benchmark that is judged by it.
+// What one core of this machine can do, in CPU time, measured in the same run as the benchmark that is judged by it.
 
 // Floating-point operations per second (a fused multiply-add counts as two) of a loop of independent multiply-adds in registers, on the
 // best SIMD target. Measured once.

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "worker/sensor/parallel.h"
+#include "worker/tre/update_kernels.h"
 #include "worker/tre/view_row.h"
 
 namespace trem {
@@ -28,39 +29,19 @@ void FitSize(int width, int height, Image<float>* image) {
 
 void FrameResidual::Predict(const Observation& observation, const View& view, const SceneBuffer& buffer, int begin, int end) {
   const Roi& roi = observation.roi;
-  const Image<float>& prediction = buffer.prediction;
-  const float gain = static_cast<float>(view.gain);
-  const float offset = static_cast<float>(view.offset);
-  const float left = static_cast<float>(buffer.extent.x0);
-  const float top = static_cast<float>(buffer.extent.y0);
-  const float x_max = static_cast<float>(prediction.width() - 1);
-  const float y_max = static_cast<float>(prediction.height() - 1);
+  OverlaidRow row;
+  row.prediction = buffer.prediction.row(0);
+  row.seen = buffer.seen.row(0);
+  row.width = buffer.prediction.width();
+  row.height = buffer.prediction.height();
+  row.left = static_cast<float>(buffer.extent.x0);
+  row.top = static_cast<float>(buffer.extent.y0);
+  row.seen_min = kSeenMin;
+  row.gain = static_cast<float>(view.gain);
+  row.offset = static_cast<float>(view.offset);
   for (int v = begin; v < end; ++v) {
-    const ViewRow row(view.scene_from_sensor, roi, v);
-    float* out = predicted.row(v);
-    float* n = frames_seen.row(v);
-    for (int u = 0; u < roi.width(); ++u) {
-      float x = 0.0F;
-      float y = 0.0F;
-      row.At(u, &x, &y);
-      x -= left;
-      y -= top;
-      out[u] = kNan;
-      n[u] = 0.0F;
-      if (!(x >= 0.0F && y >= 0.0F && x < x_max && y < y_max)) continue;
-      const int ix = static_cast<int>(x);
-      const int iy = static_cast<int>(y);
-      const float tx = x - static_cast<float>(ix);
-      const float ty = y - static_cast<float>(iy);
-      const float seen = buffer.seen.at(ix + (tx >= 0.5F ? 1 : 0), iy + (ty >= 0.5F ? 1 : 0));
-      if (!(seen >= kSeenMin)) continue;
-      const float* above = prediction.row(iy) + ix;
-      const float* below = prediction.row(iy + 1) + ix;
-      const float upper = above[0] + tx * (above[1] - above[0]);
-      const float lower = below[0] + tx * (below[1] - below[0]);
-      out[u] = gain * (upper + ty * (lower - upper)) + offset;
-      n[u] = seen;
-    }
+    ViewRow(view.scene_from_sensor, roi, v).LayOver(&row);
+    PredictRow(row, roi.width(), predicted.row(v), frames_seen.row(v));
   }
 }
 

@@ -1,5 +1,7 @@
 #include "worker/tre/update_kernels.h"
 
+#include <limits>
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "worker/tre/update_kernels.cc"
 #include <hwy/foreach_target.h>
@@ -63,6 +65,53 @@ void ScaleRowTarget(float factor, int count, float* row) {
   const std::size_t end = static_cast<std::size_t>(count);
   for (std::size_t x = 0; x < end; x += hn::Lanes(d)) {
     StoreUpTo(d, hn::Mul(hn::Set(d, factor), LoadUpTo(d, row + x, end - x)), row + x, end - x);
+  }
+}
+
+void PredictRowTarget(const OverlaidRow& row, int count, float* predicted, float* frames) {
+  const hn::ScalableTag<float> d;
+  const hn::RebindToSigned<decltype(d)> di;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t end = static_cast<std::size_t>(count);
+  const auto at = [&](float start, float step, V i) HWY_ATTR { return hn::Add(hn::Set(d, start), hn::Mul(hn::Set(d, step), i)); };
+  const V half = hn::Set(d, 0.5F);
+  const auto width = hn::Set(di, row.width);
+  const auto one = hn::Set(di, 1);
+  for (std::size_t u = 0; u < end; u += hn::Lanes(d)) {
+    const V i = hn::Iota(d, static_cast<float>(u));
+    V x = at(row.x, row.dx, i);
+    V y = at(row.y, row.dy, i);
+    if (!row.affine) {
+      const V scale = hn::Div(hn::Set(d, 1.0F), at(row.depth, row.d_depth, i));
+      x = hn::Mul(x, scale);
+      y = hn::Mul(y, scale);
+    }
+    x = hn::Sub(x, hn::Set(d, row.left));
+    y = hn::Sub(y, hn::Set(d, row.top));
+    const auto within = hn::And(hn::And(hn::Ge(x, hn::Zero(d)), hn::Lt(x, hn::Set(d, static_cast<float>(row.width - 1)))),
+                                hn::And(hn::Ge(y, hn::Zero(d)), hn::Lt(y, hn::Set(d, static_cast<float>(row.height - 1)))));
+    // Outside, the first cells are read and not used.
+    x = hn::IfThenElseZero(within, x);
+    y = hn::IfThenElseZero(within, y);
+    const auto ix = hn::ConvertTo(di, x);
+    const auto iy = hn::ConvertTo(di, y);
+    const V tx = hn::Sub(x, hn::ConvertTo(d, ix));
+    const V ty = hn::Sub(y, hn::ConvertTo(d, iy));
+    const auto first = hn::Add(hn::Mul(iy, width), ix);
+    const auto right = hn::IfThenElseZero(hn::RebindMask(di, hn::Ge(tx, half)), one);
+    const auto down = hn::IfThenElseZero(hn::RebindMask(di, hn::Ge(ty, half)), width);
+    const V seen = hn::GatherIndex(d, row.seen, hn::Add(first, hn::Add(right, down)));
+    const auto usable = hn::And(within, hn::Ge(seen, hn::Set(d, row.seen_min)));
+    const V above = hn::GatherIndex(d, row.prediction, first);
+    const V above_right = hn::GatherIndex(d, row.prediction, hn::Add(first, one));
+    const V below = hn::GatherIndex(d, row.prediction, hn::Add(first, width));
+    const V below_right = hn::GatherIndex(d, row.prediction, hn::Add(first, hn::Add(width, one)));
+    const V upper = hn::Add(above, hn::Mul(tx, hn::Sub(above_right, above)));
+    const V lower = hn::Add(below, hn::Mul(tx, hn::Sub(below_right, below)));
+    const V value = hn::Add(upper, hn::Mul(ty, hn::Sub(lower, upper)));
+    const V scaled = hn::Add(hn::Mul(hn::Set(d, row.gain), value), hn::Set(d, row.offset));
+    StoreUpTo(d, hn::IfThenElse(usable, scaled, hn::Set(d, std::numeric_limits<float>::quiet_NaN())), predicted + u, end - u);
+    StoreUpTo(d, hn::IfThenElseZero(usable, seen), frames + u, end - u);
   }
 }
 
@@ -146,6 +195,7 @@ HWY_EXPORT(ExtrapolateRowTarget);
 HWY_EXPORT(ResidualRowTarget);
 HWY_EXPORT(StepIntoTarget);
 HWY_EXPORT(ScaleRowTarget);
+HWY_EXPORT(PredictRowTarget);
 HWY_EXPORT(FindUnlikeTarget);
 HWY_EXPORT(SumTextureTarget);
 HWY_EXPORT(SeenRowTarget);
@@ -163,6 +213,10 @@ void StepInto(const StepRow& row, const float* taps, int radius, const StepWeigh
 }
 
 void ScaleRow(float factor, int count, float* row) { HWY_DYNAMIC_DISPATCH(ScaleRowTarget)(factor, count, row); }
+
+void PredictRow(const OverlaidRow& row, int count, float* predicted, float* frames) {
+  HWY_DYNAMIC_DISPATCH(PredictRowTarget)(row, count, predicted, frames);
+}
 
 int FindUnlike(const float* row, float value, int count) { return HWY_DYNAMIC_DISPATCH(FindUnlikeTarget)(row, value, count); }
 

@@ -36,6 +36,24 @@ void StepInto(const StepRow& row, const float* taps, int radius, const StepWeigh
 // row[x] *= factor; a row of an image.
 void ScaleRow(float factor, int count, float* row);
 
+// A row of a frame's pixels laid over images of a scene buffer: pixel i is at ((x + dx i) s - left, (y + dy i) s - top) [cells of the
+// buffer], s = 1 / (depth + d_depth i), or 1 when `affine`.
+struct OverlaidRow {
+  const float* prediction = nullptr;  // height x width.
+  const float* seen = nullptr;        // height x width.
+  int width = 0;
+  int height = 0;
+  float x = 0.0F, y = 0.0F, depth = 1.0F;
+  float dx = 0.0F, dy = 0.0F, d_depth = 0.0F;
+  float left = 0.0F, top = 0.0F;
+  bool affine = true;
+  float seen_min = 0.0F;
+  float gain = 1.0F, offset = 0.0F;
+};
+// predicted[i] = gain * prediction + offset, bilinear, and frames[i] the nearest cell's `seen`; NaN and 0 where the pixel leaves the images
+// or `seen` is less than seen_min. No fused operations: the same bytes on every processor.
+void PredictRow(const OverlaidRow& row, int count, float* predicted, float* frames);
+
 // Index of the first of row[0 .. count) that is not `value`; `count` when there is none. A row of an image.
 int FindUnlike(const float* row, float value, int count);
 

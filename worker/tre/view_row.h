@@ -2,6 +2,7 @@
 
 #include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/roi.h"
+#include "worker/tre/update_kernels.h"
 
 namespace trem {
 
@@ -18,6 +19,17 @@ class ViewRow {
     step_y_ = static_cast<float>(scene_from_sensor.linear(1, 0));
     step_depth_ = static_cast<float>(scene_from_sensor.perspective.x());
     affine_ = scene_from_sensor.IsAffine();
+  }
+
+  // The same steps for a kernel.
+  void LayOver(OverlaidRow* row) const {
+    row->x = x_;
+    row->y = y_;
+    row->depth = depth_;
+    row->dx = step_x_;
+    row->dy = step_y_;
+    row->d_depth = step_depth_;
+    row->affine = affine_;
   }
 
   // Scene plane coordinates [cells] of pixel u of the row, u from 0 at the ROI's left column.

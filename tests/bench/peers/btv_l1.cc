@@ -1,14 +1,13 @@
 #include "tests/bench/peers/btv_l1.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <opencv2/superres.hpp>
 
+#include "tests/bench/cpu_clock.h"
+
 namespace trem::bench {
 namespace {
-
-using Clock = std::chrono::steady_clock;
 
 // The library enlarges radius + 1 frames at its start and, while it reads frame 2 radius + 1, is about to enlarge frame radius + 1. That
 // one is wanted: it alone gets all its iterations, the others one each, which makes no difference to it.
@@ -25,19 +24,19 @@ class Frames : public cv::superres::FrameSource {
     }
     if (next_ == last) {
       method_->setIterations(settings_.iterations);
-      wanted_from_ = Clock::now();
+      wanted_from_ = ThreadCpuMs();
     }
     frames_[next_++].copyTo(frame);
   }
   void reset() override { next_ = 0; }
-  Clock::time_point wanted_from() const { return wanted_from_; }
+  double wanted_from() const { return wanted_from_; }
 
  private:
   std::vector<cv::Mat> frames_;
   BtvSettings settings_;
   cv::superres::SuperResolution* method_;
   std::size_t next_ = 0;
-  Clock::time_point wanted_from_;
+  double wanted_from_ = 0.0;
 };
 
 cv::Mat Bytes(const Image<float>& frame) {
@@ -77,7 +76,7 @@ BtvAnswer RunBtv(const BenchScene& scene, const BtvSettings& settings) {
   cv::Mat enlarged;
   method->nextFrame(enlarged);
   BtvAnswer result;
-  result.seconds = std::chrono::duration<double>(Clock::now() - source->wanted_from()).count();
+  result.seconds = 1e-3 * (ThreadCpuMs() - source->wanted_from());
   for (int k = 0; k < settings.radius + 1; ++k) method->nextFrame(enlarged);
   // The library cuts a border as wide as its regulariser's kernel.
   const int cut = (scene.AnswerSide() - enlarged.cols) / 2;

@@ -17,7 +17,7 @@ struct BtvSettings {
 
 struct BtvAnswer {
   Image<float> answer;   // Of frame 0, on the answers' grid but for the library's own offset.
-  double seconds = 0.0;  // Of this one frame: two optical flows and the iterations.
+  double seconds = 0.0;  // CPU time of this one frame: two optical flows and the iterations.
 };
 
 // Enlarges frame 0 threefold from `settings.radius` frames on each side of it in a chain ... 4 2 0 1 3 ...; the scene must have

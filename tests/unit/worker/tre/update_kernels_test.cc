@@ -28,6 +28,55 @@ TEST(UpdateKernels, FindUnlikeIsTheFirstCellThatDiffers) {
   }
 }
 
+TEST(UpdateKernels, ARowIsPredictedBilinearlyWhereTheSceneWasSeenAndTheSameOnEveryTarget) {
+  constexpr int kWidth = 60;
+  constexpr int kHeight = 40;
+  constexpr int kCount = 45;
+  const Image<float> prediction = RandomImage(kWidth, kHeight, 8);
+  Image<float> seen = RandomImage(kWidth, kHeight, 9);
+  for (float& n : seen.pixels()) n += 1.5F;
+  for (const bool affine : {true, false}) {
+    OverlaidRow row{prediction.row(0), seen.row(0), kWidth, kHeight, -95.0F, 205.0F, 0.9F, 1.7F, 0.4F, 0.004F,
+                    -101.0F,           199.0F,      affine, 0.75F,   1.3F,   -4.0F};
+    int used = 0;
+    for (const std::int64_t target : testing::FusedTargets()) {
+      const testing::WithTarget chosen(target);
+      std::vector<float> predicted(kCount + 1, 77.0F);
+      std::vector<float> frames(kCount + 1, 77.0F);
+      PredictRow(row, kCount, predicted.data(), frames.data());
+      EXPECT_EQ(predicted.back(), 77.0F);
+      EXPECT_EQ(frames.back(), 77.0F);
+      for (int u = 0; u < kCount; ++u) {
+        const float i = static_cast<float>(u);
+        const float scale = affine ? 1.0F : 1.0F / (row.depth + row.d_depth * i);
+        const float x = (row.x + row.dx * i) * scale - row.left;
+        const float y = (row.y + row.dy * i) * scale - row.top;
+        float value = NAN;
+        float n = 0.0F;
+        if (x >= 0.0F && y >= 0.0F && x < kWidth - 1 && y < kHeight - 1) {
+          const int ix = static_cast<int>(x);
+          const int iy = static_cast<int>(y);
+          const float tx = x - static_cast<float>(ix);
+          const float ty = y - static_cast<float>(iy);
+          const float near = seen.at(ix + (tx >= 0.5F ? 1 : 0), iy + (ty >= 0.5F ? 1 : 0));
+          const float upper = prediction.at(ix, iy) + tx * (prediction.at(ix + 1, iy) - prediction.at(ix, iy));
+          const float lower = prediction.at(ix, iy + 1) + tx * (prediction.at(ix + 1, iy + 1) - prediction.at(ix, iy + 1));
+          if (near >= row.seen_min) {
+            value = row.gain * (upper + ty * (lower - upper)) + row.offset;
+            n = near;
+            ++used;
+          }
+        }
+        const auto at = static_cast<std::size_t>(u);
+        ASSERT_EQ(std::isnan(predicted[at]), std::isnan(value)) << hwy::TargetName(target) << " " << u;
+        if (!std::isnan(value)) ASSERT_EQ(predicted[at], value) << hwy::TargetName(target) << " " << u;
+        ASSERT_EQ(frames[at], n) << hwy::TargetName(target) << " " << u;
+      }
+    }
+    EXPECT_GT(used, 10);
+  }
+}
+
 TEST(UpdateKernels, TextureIsSummedOverSeenCellsAndTheSameBytesOnEveryTarget) {
   constexpr float kSeenMin = 0.75F;
   for (int count = 0; count <= 70; ++count) {
