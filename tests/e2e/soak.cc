@@ -149,7 +149,8 @@ bool Soak::AwaitEnd(std::chrono::seconds patience) {
 }
 
 std::vector<std::string> Soak::Run() {
-  const fs::path sortie = fixture_.SimulateSortie("sortie", options_.frame_count) / "sortie.textproto";
+  // Slow enough for long sorties to stay inside the truth.
+  const fs::path sortie = fixture_.SimulateSortie("sortie", options_.frame_count, {"--speed-px", "1"}) / "sortie.textproto";
   const fs::path peace = fixture_.NewFolder("peace");
   const Completed reference = fixture_.Run(RunFixture::RunArguments(sortie, peace / "town.tif", {"--workers", "2", "--quiet"}));
   if (reference.exit_code != 0) return {"the undisturbed run failed: " + reference.stderr_text};
