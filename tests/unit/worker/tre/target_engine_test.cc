@@ -45,7 +45,7 @@ Image<float> Markings(int width_px, int height_px, std::uint64_t seed) {
 struct Sprite {
   const Image<float>* picture = nullptr;  // kCells a sensor pixel.
   Eigen::Vector2d centre;                 // Sensor px.
-  double angle = 0.0;
+  Eigen::Matrix2d picture_from_sensor = Eigen::Matrix2d::Identity();  // Turned by its angle.
 };
 
 struct World {
@@ -75,14 +75,16 @@ struct World {
 
   Image<float> Render(int t) const {
     std::vector<Sprite> sprites;
-    sprites.push_back({&target, CentreAt(t), AngleAt(t)});
-    if (decoy) sprites.push_back({decoy_is_a_copy ? &target : &other, CentreAt(t) + *decoy, AngleAt(t)});
-    if (t >= hidden_begin && t < hidden_end) sprites.push_back({&foliage, CentreAt(t), 0.0});
+    const Eigen::Matrix2d turned = Eigen::Rotation2Dd(-AngleAt(t)).toRotationMatrix();
+    sprites.push_back({&target, CentreAt(t), turned});
+    if (decoy) sprites.push_back({decoy_is_a_copy ? &target : &other, CentreAt(t) + *decoy, turned});
+    if (t >= hidden_begin && t < hidden_end) sprites.push_back({&foliage, CentreAt(t)});
+    const Eigen::Vector2d camera = CameraAt(t);
     cv::Mat1f fine(kHeight * kFine, kWidth * kFine);
     for (int y = 0; y < fine.rows; ++y) {
       for (int x = 0; x < fine.cols; ++x) {
         const Eigen::Vector2d u((x + 0.5) / kFine - 0.5, (y + 0.5) / kFine - 0.5);
-        fine(y, x) = Radiance(u, t, sprites);
+        fine(y, x) = Radiance(u, camera, sprites);
       }
     }
     // Gaussian of 0.55 px and a detector of 0.9 px.
@@ -101,15 +103,15 @@ struct World {
     return frame;
   }
 
-  float Radiance(const Eigen::Vector2d& u, int t, const std::vector<Sprite>& sprites) const {
+  float Radiance(const Eigen::Vector2d& u, const Eigen::Vector2d& camera, const std::vector<Sprite>& sprites) const {
     for (std::size_t k = sprites.size(); k > 0; --k) {
       const Sprite& sprite = sprites[k - 1];
-      const Eigen::Vector2d d = Eigen::Rotation2Dd(-sprite.angle) * (u - sprite.centre);
+      const Eigen::Vector2d d = sprite.picture_from_sensor * (u - sprite.centre);
       const double x = kCells * d.x() + 0.5 * (sprite.picture->width() - 1);
       const double y = kCells * d.y() + 0.5 * (sprite.picture->height() - 1);
       if (CubicSupported(*sprite.picture, x, y)) return SampleCubic(*sprite.picture, x, y);
     }
-    const Eigen::Vector2d g = kCells * (u + CameraAt(t));
+    const Eigen::Vector2d g = kCells * (u + camera);
     return SampleCubic(ground, g.x(), g.y());
   }
 };
