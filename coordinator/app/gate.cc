@@ -39,6 +39,9 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kDrainWorker:
     case v1::Envelope::kShutdown:
       return role == v1::ADMIN;
+    case v1::Envelope::kGetDataLane:
+    case v1::Envelope::kGetChunk:
+    case v1::Envelope::kPutChunk:
     case v1::Envelope::kHeartbeat:
       return asks || role == v1::WORKER;
     default:

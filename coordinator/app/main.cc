@@ -16,6 +16,7 @@
 #include "coordinator/app/gate.h"
 #include "coordinator/app/monitoring.h"
 #include "coordinator/app/shell.h"
+#include "coordinator/data/artefact_server.h"
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
 #include "mosaic/base/log.h"
@@ -42,6 +43,8 @@ struct CommandLine {
   std::string state_folder;
   std::string store_folder;
   std::string endpoint;
+  std::string data_endpoint;
+  ArtefactServerOptions data;
   std::string ready_file;
   std::string key_path;
   std::string allow_folder;
@@ -57,6 +60,11 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--state", options->state_folder, "Folder of the event log; created when missing")->required();
   app->add_option("--store", options->store_folder, "Folder of the artefact store, shared with workers and clients")->required();
   app->add_option("--bind", options->endpoint, "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one); with --key any address, tcp://*:PORT")->required();
+  app->add_option("--data-bind", options->data_endpoint,
+                  "Endpoint of the data lane, for those that do not share the store; none: no such lane. Default: beside --bind, "
+                  "on any free port");
+  app->add_option("--store-bytes-max", options->data.store_bytes_max, "Refuse what would make the store larger on the data lane (0: no limit)")
+      ->capture_default_str();
   app->add_option("--key", options->key_path, "Secret key file of this coordinator (`trem keys`); then only peers with an allowed key get in");
   app->add_option("--allow", options->allow_folder, "Folder of the .pub files of all keys that are let in; changes take effect at once");
   app->add_option("--connections-max", options->connections_max, "Further connections are closed")
@@ -123,7 +131,34 @@ Result<ChannelOptions> MakeChannelOptions(const CommandLine& options) {
   return channel;
 }
 
-Status Serve(RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monitoring) {
+// The data lane; null when there is to be none.
+Result<std::unique_ptr<ArtefactServer>> StartDataLane(const CommandLine& options, const ChannelOptions& channel_options,
+                                                      const ArtefactStore& artefacts) {
+  std::string endpoint = options.data_endpoint;
+  if (endpoint == "none") return std::unique_ptr<ArtefactServer>();
+  if (endpoint.empty()) {
+    const bool is_file = options.endpoint.starts_with("ipc://");
+    endpoint = is_file ? options.endpoint + ".data" : options.endpoint.substr(0, options.endpoint.rfind(':')) + ":*";
+  }
+  auto server = ArtefactServer::Start(endpoint, channel_options, artefacts, options.data);
+  if (!server.ok()) return server.status().WithPrefix("--data-bind");
+  spdlog::info("data lane on {}", (*server)->endpoint());
+  return server;
+}
+
+// Where the data lane is, for those who ask.
+v1::Envelope DataLaneAnswer(const ArtefactServer* data_lane) {
+  v1::Envelope answer;
+  if (data_lane != nullptr) {
+    answer.mutable_data_lane()->set_endpoint(data_lane->endpoint());
+  } else {
+    answer.mutable_error()->set_status_code(static_cast<std::uint32_t>(StatusCode::kInvalidInput));
+    answer.mutable_error()->set_message("this coordinator has no data lane (--data-bind none): name the shared store with --store");
+  }
+  return answer;
+}
+
+Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monitoring) {
   TimeMs last_tick_ms = 0;
   while (!stop_requested && !shell->shutdown_requested()) {
     bool drained = false;
@@ -136,7 +171,9 @@ Status Serve(RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monit
       if (incoming->envelope.ok() && incoming->envelope->has_submit_job() && !incoming->user.empty()) {
         incoming->envelope->mutable_submit_job()->set_user(incoming->user);
       }
-      if (const Status admitted = gate->Admit(arrived_ms, *incoming); admitted.ok()) {
+      if (const Status admitted = gate->Admit(arrived_ms, *incoming); admitted.ok() && incoming->envelope->has_get_data_lane()) {
+        channel->Send(incoming->peer, DataLaneAnswer(data_lane));
+      } else if (admitted.ok()) {
         shell->Receive(arrived_ms, incoming->peer, *incoming->envelope);
       } else if (gate->MayAnswer(arrived_ms, incoming->peer)) {
         shell->ReceiveBroken(incoming->peer, admitted);
@@ -161,6 +198,7 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
                         EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
+  TREM_ASSIGN_OR_RETURN(const std::unique_ptr<ArtefactServer> data_lane, StartDataLane(options, channel_options, artefacts));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<Monitoring> monitoring, Monitoring::Start(options.http));
   ShellOptions shell_options = options.shell;
   shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
@@ -177,7 +215,7 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   Status status;
   monitoring->BecomeReady();
   if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n" + monitoring->url() + "\n");
-  if (status.ok()) status = Serve(channel.get(), &gate, shell.get(), monitoring.get());
+  if (status.ok()) status = Serve(data_lane.get(), channel.get(), &gate, shell.get(), monitoring.get());
   channel_to_wake = nullptr;
   if (status.ok()) spdlog::info("stopped; everything that was acknowledged is in the log");
   return status;

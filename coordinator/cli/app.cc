@@ -14,6 +14,7 @@
 
 #include "coordinator/cli/child_process.h"
 #include "coordinator/cli/client_commands.h"
+#include "coordinator/cli/doctor_command.h"
 #include "coordinator/cli/keys_command.h"
 #include "coordinator/cli/plan_command.h"
 #include "coordinator/cli/run_command.h"
@@ -142,11 +143,18 @@ void AddSubmitAndFetch(CLI::App* app, Request* request) {
   CLI::App* fetch = AddRemoteCommand(app, request, "fetch", "Copy the results of a job that is done");
   fetch->add_option("JOB", request->job_id, "Id of the job")->required();
   fetch->add_option("-o,--output", request->output, "The mosaic to write, *.tif; its siblings go beside it")->required();
-  fetch->add_option("--store", request->store, "The artefact store as this machine sees it; default: as the coordinator does");
+  fetch->add_option("--store", request->store, "The artefact store, if this machine shares it; default: the results come from the coordinator");
   fetch->footer("Examples:\n  trem fetch flight-1a2b3c4d -o mosaic.tif");
   fetch->callback([request] {
     request->action = [request] { return RunFetchCommand(request->remote, request->job_id, request->output, request->store); };
   });
+}
+
+void AddDoctorCommand(CLI::App* app, Request* request) {
+  CLI::App* command = AddRemoteCommand(app, request, "doctor", "Check programs, machine, keys and, where one is named, the coordinator");
+  command->get_option("--coordinator")->required(false);
+  command->footer("Examples:\n  trem doctor\n  trem doctor --coordinator tcp://127.0.0.1:7411");
+  command->callback([request] { request->action = [request] { return RunDoctorCommand(request->remote); }; });
 }
 
 void AddKeysCommand(CLI::App* app, Request* request) {
@@ -174,6 +182,7 @@ void AddJobCommands(CLI::App* app, Request* request) {
       {"status", "A job's stages, results and warnings", RunStatusCommand},
       {"watch", "Show a job's progress until it ends", RunWatchCommand},
       {"cancel", "Stop a job", RunCancelCommand},
+      {"retry", "Take up what failed of a job; what is done stays done", RunRetryCommand},
   };
   for (const JobCommand& entry : kCommands) {
     CLI::App* command = AddRemoteCommand(app, request, entry.name, entry.description);
@@ -181,6 +190,10 @@ void AddJobCommands(CLI::App* app, Request* request) {
     command->footer(fmt::format("Examples:\n  trem {} flight-1a2b3c4d --coordinator tcp://127.0.0.1:7411", entry.name));
     command->callback([request, run = entry.run] { request->action = [request, run] { return run(request->remote, request->job_id); }; });
   }
+  CLI::App* drain = AddRemoteCommand(app, request, "drain", "Let a worker finish what it runs, and leave");
+  drain->add_option("WORKER", request->job_id, "Id of the worker, as 'trem workers' shows it")->required();
+  drain->footer("Needs an admin's key where keys are in use.\n\nExamples:\n  trem drain node-7-4711-0a1b2c3d");
+  drain->callback([request] { request->action = [request] { return RunDrainCommand(request->remote, request->job_id); }; });
   CLI::App* list = AddRemoteCommand(app, request, "list", "All jobs of a coordinator");
   list->footer("Examples:\n  trem list --coordinator tcp://127.0.0.1:7411");
   list->callback([request] { request->action = [request] { return RunListCommand(request->remote); }; });
@@ -248,6 +261,7 @@ int RunTrem(int argc, char** argv) {
   AddSubmitAndFetch(&app, &request);
   AddJobCommands(&app, &request);
   AddKeysCommand(&app, &request);
+  AddDoctorCommand(&app, &request);
   if (first.empty()) {
     fmt::print(stderr, "{}", app.help());
     return kExitUsage;

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <cctype>
+#include <memory>
 #include <random>
 
 #include "coordinator/cli/client.h"
@@ -11,6 +12,7 @@
 #include "coordinator/cli/outputs.h"
 #include "coordinator/cli/progress.h"
 #include "coordinator/cli/terminal.h"
+#include "proto/channel/artefact_channel.h"
 #include "proto/codec/envelope.h"
 #include "proto/codec/sortie_spec.h"
 
@@ -99,6 +101,59 @@ Result<v1::JobStatus> Watch(Client* client, const RemoteOptions& remote, const s
   }
 }
 
+// A question that is answered with a job's status, which is shown.
+int AskAboutJob(const RemoteOptions& remote, const std::string& job_id, const v1::Envelope& question) {
+  if (const Status status = CheckJobId(job_id); !status.ok()) return Report(status);
+  Client client = MakeClient(remote);
+  const Result<v1::Envelope> answer = client.Ask(question);
+  if (!answer.ok()) return Report(answer.status());
+  ShowJob(remote, answer->job_status());
+  return kExitDone;
+}
+
+// A question that is answered with all workers, which are shown.
+int AskForWorkers(const RemoteOptions& remote, const v1::Envelope& question) {
+  Client client = MakeClient(remote);
+  const Result<v1::Envelope> answer = client.Ask(question);
+  if (!answer.ok()) return Report(answer.status());
+  ordered_json json = ordered_json::array();
+  for (const v1::WorkerStatus& worker : answer->worker_list().workers()) {
+    json.push_back({{"worker_id", worker.worker_id()},
+                    {"host", worker.host()},
+                    {"pid", worker.pid()},
+                    {"running", worker.running_size()},
+                    {"draining", worker.draining()},
+                    {"last_seen_ms_ago", worker.last_seen_ms_ago()}});
+    if (!remote.json) {
+      fmt::print("{:<40} {}:{}  {} running{}, seen {:.1f} s ago\n", worker.worker_id(), worker.host(), worker.pid(), worker.running_size(),
+                 worker.draining() ? ", draining" : "", static_cast<double>(worker.last_seen_ms_ago()) / 1000.0);
+    }
+  }
+  if (remote.json) fmt::print("{}\n", DumpJson(json));
+  return kExitDone;
+}
+
+// From the folder `store`, or in chunks from the coordinator. What has arrived when that breaks off is kept beside the output, and the
+// same command goes on from there.
+Result<std::vector<PublishedFile>> FetchOutputs(const RemoteOptions& remote, const v1::JobStatus& job, const fs::path& output,
+                                                const fs::path& store_path) {
+  if (!store_path.empty()) {
+    std::error_code error;
+    if (!fs::is_directory(store_path, error)) return NotFound("artefact store '" + store_path.string() + "' is not a folder on this machine");
+    TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(store_path));
+    return PublishOutputs(job, store, output, {});
+  }
+  const fs::path partial = output.string() + ".fetch";
+  TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(remote.key, remote.coordinator_key));
+  const auto channel = std::make_shared<ArtefactChannel>(remote.coordinator, options);
+  channel->set_on_chunk([] { return InterruptSignal() == 0; });
+  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::OpenCache(partial, channel));
+  auto files = PublishOutputs(job, store, output, {});
+  std::error_code ignored;
+  if (files.ok()) fs::remove_all(partial, ignored);
+  return files;
+}
+
 }  // namespace
 
 int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
@@ -156,14 +211,22 @@ int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id) {
 }
 
 int RunCancelCommand(const RemoteOptions& remote, const std::string& job_id) {
-  if (const Status status = CheckJobId(job_id); !status.ok()) return Report(status);
-  Client client = MakeClient(remote);
   v1::Envelope question;
   question.mutable_cancel_job()->set_job_id(job_id);
-  const Result<v1::Envelope> answer = client.Ask(question);
-  if (!answer.ok()) return Report(answer.status());
-  ShowJob(remote, answer->job_status());
-  return kExitDone;
+  return AskAboutJob(remote, job_id, question);
+}
+
+int RunRetryCommand(const RemoteOptions& remote, const std::string& job_id) {
+  v1::Envelope question;
+  question.mutable_retry_job()->set_job_id(job_id);
+  return AskAboutJob(remote, job_id, question);
+}
+
+int RunDrainCommand(const RemoteOptions& remote, const std::string& worker_id) {
+  if (!IsWorkerId(worker_id)) return Report(InvalidInput("'" + worker_id + "' is not a worker's id; 'trem workers' shows them"));
+  v1::Envelope question;
+  question.mutable_drain_worker()->set_worker_id(worker_id);
+  return AskForWorkers(remote, question);
 }
 
 int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, const fs::path& output, const fs::path& store) {
@@ -175,13 +238,7 @@ int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, cons
     return Report(
         Failed("job " + job_id + " is " + JobStateName(job->state()) + "; only the results of a job that is done can be fetched"));
   }
-  const fs::path store_path = store.empty() ? fs::path(job->store_path()) : store;
-  std::error_code error;
-  if (!fs::is_directory(store_path, error)) {
-    return Report(NotFound("artefact store '" + store_path.string() +
-                           "' is not a folder on this machine; name the shared folder that the coordinator uses with --store"));
-  }
-  const Result<std::vector<PublishedFile>> files = PublishOutputs(*job, store_path, output, {});
+  const Result<std::vector<PublishedFile>> files = FetchOutputs(remote, *job, output, store);
   if (!files.ok()) return Report(files.status());
   ordered_json json = ordered_json::array();
   for (const PublishedFile& file : *files) {
@@ -193,25 +250,9 @@ int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, cons
 }
 
 int RunWorkersCommand(const RemoteOptions& remote) {
-  Client client = MakeClient(remote);
   v1::Envelope question;
   question.mutable_list_workers();
-  const Result<v1::Envelope> answer = client.Ask(question);
-  if (!answer.ok()) return Report(answer.status());
-  ordered_json json = ordered_json::array();
-  for (const v1::WorkerStatus& worker : answer->worker_list().workers()) {
-    json.push_back({{"worker_id", worker.worker_id()},
-                    {"host", worker.host()},
-                    {"pid", worker.pid()},
-                    {"running", worker.running_size()},
-                    {"last_seen_ms_ago", worker.last_seen_ms_ago()}});
-    if (!remote.json) {
-      fmt::print("{:<40} {}:{}  {} running, seen {:.1f} s ago\n", worker.worker_id(), worker.host(), worker.pid(), worker.running_size(),
-                 static_cast<double>(worker.last_seen_ms_ago()) / 1000.0);
-    }
-  }
-  if (remote.json) fmt::print("{}\n", DumpJson(json));
-  return kExitDone;
+  return AskForWorkers(remote, question);
 }
 
 }  // namespace trem

@@ -22,7 +22,11 @@ int RunListCommand(const RemoteOptions& remote);
 int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id);
 int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id);
 int RunCancelCommand(const RemoteOptions& remote, const std::string& job_id);
-// `store`: the artefact store as this machine sees it; empty: where the coordinator says it is.
+// Takes up what failed of a job; what is done stays done.
+int RunRetryCommand(const RemoteOptions& remote, const std::string& job_id);
+// The worker gets nothing new and leaves when it has finished what it runs.
+int RunDrainCommand(const RemoteOptions& remote, const std::string& worker_id);
+// `store`: the artefact store as this machine sees it; empty: the results come in chunks from the coordinator.
 int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, const std::filesystem::path& output,
                     const std::filesystem::path& store);
 int RunWorkersCommand(const RemoteOptions& remote);

@@ -8,7 +8,6 @@
 #include <cstdlib>
 #include <system_error>
 
-#include "mosaic/base/artefact_store.h"
 #include "mosaic/base/digest.h"
 #include "mosaic/base/file.h"
 #include "proto/codec/convert.h"
@@ -86,9 +85,8 @@ Status CheckOutput(const fs::path& output) {
   return CheckWritable(folder).WithPrefix("output " + output.string());
 }
 
-Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, const fs::path& store_path, const fs::path& output,
+Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, const ArtefactStore& store, const fs::path& output,
                                                   const fs::path& work_folder) {
-  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(store_path));
   TREM_ASSIGN_OR_RETURN(const StagingFolder staging, StagingFolder::Make(work_folder, output));
   std::vector<PublishedFile> files;
   for (const v1::ArtefactRef& message : job.outputs()) {

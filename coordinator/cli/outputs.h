@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "mosaic/base/artefact_store.h"
 #include "mosaic/base/status.h"
 #include "proto/trem/v1/fleet.pb.h"
 
@@ -25,10 +26,10 @@ Result<std::filesystem::path> OutputPath(const std::filesystem::path& output, co
 // Fails early when `output` could not be written at the end: not a .tif, a folder, its folder missing or not writable.
 Status CheckOutput(const std::filesystem::path& output);
 
-// Copies the results from the artefact store at `store` to their places beside `output`. All of them are copied to a staging folder on the
+// Copies the results from the artefact store to their places beside `output`. All of them are copied to a staging folder on the
 // output's file system and their digests verified before the first appears under its final name; the mosaic itself appears last. On
 // failure nothing is left. `work_folder`: preferred place of the staging folder.
-Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, const std::filesystem::path& store,
+Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, const ArtefactStore& store,
                                                   const std::filesystem::path& output, const std::filesystem::path& work_folder);
 
 }  // namespace trem

@@ -123,7 +123,8 @@ Status Run(const RunOptions& options, RunState* state) {
   state->work_folder_is_left = true;
   Status status = RunWithFleet(options, sortie, job_id, state);
   if (status.ok()) {
-    Result<std::vector<PublishedFile>> files = PublishOutputs(state->job, work.path() / "store", options.output, work.path());
+    TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(work.path() / "store"));
+    Result<std::vector<PublishedFile>> files = PublishOutputs(state->job, store, options.output, work.path());
     status = files.status();
     if (files.ok()) state->files = std::move(files).value();
   }

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <string>
 #include <string_view>
 
@@ -16,6 +17,16 @@ struct ArtefactRef {
   std::uint64_t bytes = 0;
 };
 
+// Where a store that is only a cache gets objects from and delivers them to. Calls come from one thread at a time.
+class ArtefactBacking {
+ public:
+  virtual ~ArtefactBacking() = default;
+  // Writes the object to `path`; what is there already is the beginning of it, from a try that broke off. The store verifies the digest.
+  virtual Status Fetch(const ArtefactRef& ref, const std::filesystem::path& path) = 0;
+  // Returns when the object, the file at `path`, is where others find it.
+  virtual Status Deliver(const ArtefactRef& ref, const std::filesystem::path& path) = 0;
+};
+
 // A content-addressed folder that coordinator, workers and clients share:
 //
 //   <root>/objects/ab/abcdef...   immutable, named by SHA-256
@@ -28,6 +39,12 @@ class ArtefactStore {
   // Creates the folders when missing.
   static Result<ArtefactStore> Open(const std::filesystem::path& root);
 
+  // A cache in front of `backing`: what is missing here is fetched, what is put here is delivered before Put returns. Several processes
+  // may share the folder.
+  static Result<ArtefactStore> OpenCache(const std::filesystem::path& root, std::shared_ptr<ArtefactBacking> backing);
+  // Removes the objects that were used least recently, until the rest has at most `bytes_max`. For caches.
+  Status Trim(std::uint64_t bytes_max) const;
+
   // A fresh, empty path in <root>/tmp whose extension is `extension` (".tif"; GDAL picks drivers by it).
   std::filesystem::path NewTemporaryPath(const std::string& extension) const;
   // Moves the file at `temporary` (made by NewTemporaryPath) into the store.
@@ -36,6 +53,8 @@ class ArtefactStore {
 
   // Where the object is; fails with kNotFound when missing, kCorrupt when its size differs from the ref.
   Result<std::filesystem::path> Locate(const ArtefactRef& ref) const;
+  // Where the object of this digest is, whatever its size, which goes to `bytes`. Does not ask a backing.
+  Result<std::filesystem::path> Find(const std::string& sha256, std::uint64_t* bytes) const;
   // Reads an object and verifies its digest; kCorrupt when it differs.
   Result<std::string> ReadVerified(const ArtefactRef& ref, std::uint64_t max_bytes) const;
   // Digest check of an object without keeping it in memory.
@@ -46,8 +65,10 @@ class ArtefactStore {
  private:
   explicit ArtefactStore(std::filesystem::path root) : root_(std::move(root)) {}
   std::filesystem::path ObjectPath(const std::string& sha256) const;
+  Status FetchMissing(const ArtefactRef& ref) const;
 
   std::filesystem::path root_;
+  std::shared_ptr<ArtefactBacking> backing_;  // Shared: stores are copied. Null: the folder is the store itself.
 };
 
 }  // namespace trem

@@ -15,6 +15,7 @@ constexpr std::size_t kIdLengthMaxJob = 64;
 constexpr std::size_t kIdLengthMaxWorker = 128;
 constexpr std::size_t kWordBytesMax = 256;    // Host names, revisions, codes.
 constexpr std::size_t kTextBytesMax = 65536;  // Messages, reasons, paths.
+constexpr std::size_t kChunkBytesMax = std::size_t{4} << 20;
 constexpr std::uint32_t kCreditMax = 1024;
 constexpr std::uint32_t kDurationMsMax = 86'400'000;  // A day.
 constexpr std::uint32_t kStatusCodeMax = static_cast<std::uint32_t>(StatusCode::kFailed);
@@ -165,6 +166,30 @@ Status Validate(const v1::Drain& drain) { return CheckText("reason", drain.reaso
 
 Status Validate(const v1::Goodbye& goodbye) { return CheckText("reason", goodbye.reason(), kTextBytesMax); }
 
+Status CheckChunk(const std::string& data, const std::string& data_sha256) {
+  if (data.size() > kChunkBytesMax) return Bad("data", fmt::format("{} bytes long", data.size()), fmt::format("at most {}", kChunkBytesMax));
+  return CheckDigest("data_sha256", data_sha256);
+}
+
+Status Validate(const v1::GetChunk& get) {
+  TREM_RETURN_IF_ERROR(CheckDigest("sha256", get.sha256()));
+  return CheckRange("bytes_max", get.bytes_max(), 1, kChunkBytesMax);
+}
+
+Status Validate(const v1::Chunk& chunk) {
+  TREM_RETURN_IF_ERROR(CheckDigest("sha256", chunk.sha256()));
+  return CheckChunk(chunk.data(), chunk.data_sha256());
+}
+
+Status Validate(const v1::PutChunk& put) {
+  TREM_RETURN_IF_ERROR(CheckDigest("sha256", put.sha256()));
+  if (put.offset() > put.bytes() || put.data().size() > put.bytes() - put.offset()) {
+    return Bad("offset", fmt::format("{} with {} bytes of data", put.offset(), put.data().size()),
+               fmt::format("within the artefact's {} bytes", put.bytes()));
+  }
+  return CheckChunk(put.data(), put.data_sha256());
+}
+
 Status Validate(const v1::SubmitJob& submit) {
   TREM_RETURN_IF_ERROR(CheckJobId(submit.job_id()));
   if (!submit.user().empty() && !IsId(submit.user(), kIdLengthMaxJob)) {
@@ -242,6 +267,17 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return ValidateAll(envelope.worker_list().workers());
     case v1::Envelope::kError:
       return Validate(envelope.error());
+    case v1::Envelope::kDataLane:
+      return CheckText("endpoint", envelope.data_lane().endpoint(), kTextBytesMax);
+    case v1::Envelope::kGetChunk:
+      return Validate(envelope.get_chunk());
+    case v1::Envelope::kChunk:
+      return Validate(envelope.chunk());
+    case v1::Envelope::kPutChunk:
+      return Validate(envelope.put_chunk());
+    case v1::Envelope::kPutReply:
+      return CheckDigest("sha256", envelope.put_reply().sha256());
+    case v1::Envelope::kGetDataLane:
     case v1::Envelope::kListJobs:
     case v1::Envelope::kListWorkers:
     case v1::Envelope::kShutdown:

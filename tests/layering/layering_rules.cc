@@ -52,6 +52,7 @@ const std::vector<Rule>& Rules() {
       {"coordinator/planning", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec"}, Reach::kPure},
       {"coordinator/scheduling", {"mosaic/base", "mosaic/geometry", "proto/trem", "proto/codec", "coordinator/planning"}, Reach::kPure},
       {"coordinator/store", {"mosaic/base", "proto"}, Reach::kNoPixels},
+      {"coordinator/data", {"mosaic/base", "proto"}, Reach::kNoPixels},
       {"coordinator/http", {"mosaic/base"}, Reach::kNoPixels},
       {"coordinator/cli", {"mosaic/base", "mosaic/geometry", "proto", "coordinator/planning"}, Reach::kNoPixels},
       {"coordinator/app", {"mosaic/base", "mosaic/geometry", "proto", "coordinator"}, Reach::kNoPixels},

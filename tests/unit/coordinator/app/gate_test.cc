@@ -30,6 +30,7 @@ TEST(GateTest, EveryRoleMaySayWhatItShouldAndNothingElse) {
       {"submit_job", "c-a"}, {"get_job", "c-a"},  {"list_jobs", "c-a"},   {"cancel_job", "c-a"}, {"list_workers", "c-a"},
       {"shutdown", "--a"},   {"welcome", "---"},  {"dispatch", "---"},    {"ack", "---"},        {"cancel_task", "---"},
       {"job_status", "---"}, {"job_list", "---"}, {"worker_list", "---"}, {"error", "---"},      {"bye", "---"},
+      {"retry_job", "c-a"}, {"drain_worker", "--a"}, {"drain", "---"}, {"get_data_lane", "cwa"}, {"data_lane", "---"}, {"get_chunk", "cwa"}, {"chunk", "---"}, {"put_chunk", "cwa"}, {"put_reply", "---"},
   };
   const auto* body = v1::Envelope::descriptor()->FindOneofByName("body");
   for (int i = 0; i < body->field_count(); ++i) {

@@ -44,7 +44,7 @@ class PublishOutputsTest : public ::testing::Test {
 };
 
 TEST_F(PublishOutputsTest, NamesTheSiblingsAfterTheMosaic) {
-  const auto files = PublishOutputs(job_, store_path_, out_ / "town.tif", work_);
+  const auto files = PublishOutputs(job_, *ArtefactStore::Open(store_path_), out_ / "town.tif", work_);
   ASSERT_TRUE(files.ok()) << files.status().ToString();
   ASSERT_EQ(files->size(), 3u);
   EXPECT_EQ(files->front().path, out_ / "town.tif");
@@ -56,20 +56,20 @@ TEST_F(PublishOutputsTest, NamesTheSiblingsAfterTheMosaic) {
 }
 
 TEST_F(PublishOutputsTest, StagesBesideTheOutputWithoutAWorkFolder) {
-  ASSERT_TRUE(PublishOutputs(job_, store_path_, out_ / "town.tif", {}).ok());
+  ASSERT_TRUE(PublishOutputs(job_, *ArtefactStore::Open(store_path_), out_ / "town.tif", {}).ok());
   EXPECT_EQ(NamesInOut().size(), 3u);
 }
 
 TEST_F(PublishOutputsTest, ReplacesAnEarlierMosaic) {
   WriteFileContents(out_ / "town.tif", "old");
-  ASSERT_TRUE(PublishOutputs(job_, store_path_, out_ / "town.tif", work_).ok());
+  ASSERT_TRUE(PublishOutputs(job_, *ArtefactStore::Open(store_path_), out_ / "town.tif", work_).ok());
   EXPECT_EQ(FileContents(out_ / "town.tif"), "content of mosaic.tif");
 }
 
 TEST_F(PublishOutputsTest, PublishesNothingWhenOneResultIsDamaged) {
   fs::permissions(ObjectOf(2), fs::perms::owner_all);
   WriteFileContents(ObjectOf(2), "CONTENT of mosaic_chain.csv");  // Same size, other bytes.
-  const auto files = PublishOutputs(job_, store_path_, out_ / "town.tif", work_);
+  const auto files = PublishOutputs(job_, *ArtefactStore::Open(store_path_), out_ / "town.tif", work_);
   ASSERT_FALSE(files.ok());
   EXPECT_EQ(files.status().code(), StatusCode::kCorrupt);
   EXPECT_THAT(files.status().message(), HasSubstr("mosaic_chain.csv"));
@@ -79,7 +79,7 @@ TEST_F(PublishOutputsTest, PublishesNothingWhenOneResultIsDamaged) {
 
 TEST_F(PublishOutputsTest, PublishesNothingWhenOneResultIsMissing) {
   fs::remove(ObjectOf(0));
-  const auto files = PublishOutputs(job_, store_path_, out_ / "town.tif", work_);
+  const auto files = PublishOutputs(job_, *ArtefactStore::Open(store_path_), out_ / "town.tif", work_);
   ASSERT_FALSE(files.ok());
   EXPECT_EQ(files.status().code(), StatusCode::kNotFound);
   EXPECT_TRUE(fs::is_empty(out_));

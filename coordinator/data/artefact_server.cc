@@ -1,0 +1,192 @@
+#include "coordinator/data/artefact_server.h"
+
+#include <fcntl.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <filesystem>
+#include <system_error>
+
+#include "mosaic/base/digest.h"
+
+namespace trem {
+namespace fs = std::filesystem;
+namespace {
+
+constexpr std::size_t kUploadsMax = 1024;
+constexpr std::int64_t kUploadIdleMsMax = 120'000;
+constexpr std::int64_t kForgetIntervalMs = 10'000;
+
+std::int64_t NowMs() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+std::uint64_t BytesOfObjects(const fs::path& root) {
+  std::uint64_t total = 0;
+  std::error_code error;
+  for (fs::recursive_directory_iterator it(root / "objects", error), end; !error && it != end; it.increment(error)) {
+    std::error_code gone;
+    const std::uint64_t bytes = it->is_regular_file(gone) ? it->file_size(gone) : 0;
+    if (!gone) total += bytes;
+  }
+  return total;
+}
+
+// Reads or writes all of [offset, offset + size) of a file.
+template <typename Transfer>
+Status TransferAll(const fs::path& path, int flags, std::size_t size, Transfer transfer) {
+  const int fd = ::open(path.c_str(), flags | O_CLOEXEC | O_NOFOLLOW, 0644);
+  if (fd < 0) return FromErrno("cannot open " + path.string(), errno);
+  Status status;
+  for (std::size_t done = 0; status.ok() && done < size;) {
+    const ssize_t count = transfer(fd, done);
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) status = FromErrno("cannot use " + path.string(), errno);
+    if (count == 0) status = Corrupt(path.string() + " is shorter than it should be");
+    done += static_cast<std::size_t>(std::max<ssize_t>(count, 0));
+  }
+  ::close(fd);
+  return status;
+}
+
+}  // namespace
+
+ArtefactServer::ArtefactServer(std::unique_ptr<RouterChannel> channel, ArtefactStore store, const ArtefactServerOptions& options)
+    : channel_(std::move(channel)), store_(std::move(store)), options_(options) {}
+
+Result<std::unique_ptr<ArtefactServer>> ArtefactServer::Start(const std::string& endpoint, const ChannelOptions& channel_options,
+                                                              ArtefactStore store, const ArtefactServerOptions& options) {
+  ChannelOptions own = channel_options;
+  own.limits.body_bytes_max = std::size_t{8} << 20;  // A chunk has at most half of that.
+  TREM_ASSIGN_OR_RETURN(std::unique_ptr<RouterChannel> channel, RouterChannel::Bind(endpoint, own));
+  std::unique_ptr<ArtefactServer> server(new ArtefactServer(std::move(channel), std::move(store), options));
+  if (options.store_bytes_max > 0) server->store_bytes_ = BytesOfObjects(server->store_.root());
+  server->thread_ = std::thread([self = server.get()] { self->Serve(); });
+  return server;
+}
+
+ArtefactServer::~ArtefactServer() {
+  stop_ = true;
+  channel_->Wake();
+  if (thread_.joinable()) thread_.join();
+  for (const auto& [key, upload] : uploads_) {
+    std::error_code ignored;
+    fs::remove(upload.path, ignored);
+  }
+}
+
+void ArtefactServer::Serve() {
+  std::int64_t next_forget_ms = 0;
+  while (!stop_) {
+    const auto incoming = channel_->Poll(std::chrono::milliseconds(500));
+    if (const std::int64_t now_ms = NowMs(); now_ms >= next_forget_ms) {
+      ForgetOldUploads(now_ms);
+      next_forget_ms = now_ms + kForgetIntervalMs;
+    }
+    if (!incoming) continue;
+    Result<v1::Envelope> answer = Answer(*incoming);
+    if (!answer.ok()) {
+      v1::Envelope refusal;
+      refusal.mutable_error()->set_status_code(static_cast<std::uint32_t>(answer.status().code()));
+      refusal.mutable_error()->set_message(answer.status().message().substr(0, 4096));
+      answer = std::move(refusal);
+    }
+    channel_->Send(incoming->peer, *answer);  // What does not get through is asked for again.
+  }
+}
+
+Result<v1::Envelope> ArtefactServer::Answer(const RouterChannel::Incoming& incoming) {
+  if (!incoming.envelope.ok()) return incoming.envelope.status();
+  if (incoming.envelope->has_get_chunk()) return OnGet(incoming.envelope->get_chunk());
+  if (incoming.envelope->has_put_chunk()) return OnPut(incoming.peer, incoming.envelope->put_chunk());
+  return InvalidInput("the data lane takes and gives chunks of artefacts; everything else goes to the control lane");
+}
+
+Result<v1::Envelope> ArtefactServer::OnGet(const v1::GetChunk& get) {
+  ArtefactRef ref{"", get.sha256(), 0};
+  TREM_ASSIGN_OR_RETURN(const fs::path object, store_.Find(get.sha256(), &ref.bytes));
+  if (get.offset() >= ref.bytes && ref.bytes > 0) {
+    return InvalidInput("artefact " + get.sha256() + " has " + std::to_string(ref.bytes) + " bytes; offset " +
+                        std::to_string(get.offset()) + " was asked for");
+  }
+  v1::Envelope answer;
+  v1::Chunk* chunk = answer.mutable_chunk();
+  std::string data(static_cast<std::size_t>(std::min<std::uint64_t>(get.bytes_max(), ref.bytes - get.offset())), '\0');
+  TREM_RETURN_IF_ERROR(TransferAll(object, O_RDONLY, data.size(), [&](int fd, std::size_t done) {
+    return ::pread(fd, data.data() + done, data.size() - done, static_cast<off_t>(get.offset() + done));
+  }));
+  bytes_sent_ += data.size();
+  chunk->set_sha256(get.sha256());
+  chunk->set_offset(get.offset());
+  chunk->set_data_sha256(Sha256Hex(data));
+  chunk->set_data(std::move(data));
+  return answer;
+}
+
+Status ArtefactServer::CheckRoom(std::uint64_t bytes) const {
+  if (options_.store_bytes_max == 0 || store_bytes_ + bytes <= options_.store_bytes_max) return {};
+  return Exhausted("the artefact store holds " + std::to_string(store_bytes_) + " of at most " + std::to_string(options_.store_bytes_max) +
+                   " bytes, and " + std::to_string(bytes) + " more would come; raise --store-bytes-max or remove old jobs' work");
+}
+
+Result<v1::Envelope> ArtefactServer::OnPut(const std::string& peer, const v1::PutChunk& put) {
+  v1::Envelope answer;
+  v1::PutReply* reply = answer.mutable_put_reply();
+  reply->set_sha256(put.sha256());
+  const ArtefactRef ref{"upload", put.sha256(), put.bytes()};
+  const UploadKey key(peer, put.sha256());
+  const auto known = uploads_.find(key);
+  if (known == uploads_.end() && store_.Locate(ref).ok()) {
+    reply->set_next_offset(put.bytes());
+    reply->set_is_stored(true);
+    return answer;
+  }
+  if (known == uploads_.end()) {
+    TREM_RETURN_IF_ERROR(CheckRoom(put.bytes()));
+    if (uploads_.size() >= kUploadsMax) return Exhausted("too many uploads at once; try again in a while");
+  }
+  Upload& upload = uploads_[key];
+  if (upload.path.empty()) upload.path = store_.NewTemporaryPath(".upload");
+  upload.used_at_ms = NowMs();
+  Status status = put.offset() == upload.next_offset ? Append(put, &upload) : Status();
+  reply->set_next_offset(upload.next_offset);
+  if (status.ok() && upload.next_offset == put.bytes()) {
+    const Result<ArtefactRef> stored = store_.PutFile("upload", upload.path);
+    status = stored.status();
+    if (stored.ok() && stored->sha256 != put.sha256()) status = Corrupt("an upload has digest " + stored->sha256 + "; announced was " + put.sha256());
+    reply->set_is_stored(status.ok());
+    store_bytes_ += status.ok() ? put.bytes() : 0;
+    uploads_.erase(key);
+  } else if (!status.ok()) {
+    std::error_code ignored;
+    fs::remove(upload.path, ignored);
+    uploads_.erase(key);
+  }
+  if (!status.ok()) return status;
+  return answer;
+}
+
+Status ArtefactServer::Append(const v1::PutChunk& put, Upload* upload) {
+  if (put.data().empty() && put.bytes() > 0) return {};  // A question.
+  if (Sha256Hex(put.data()) != put.data_sha256()) return {};  // Damaged on its way: the reply asks for it again.
+  TREM_RETURN_IF_ERROR(TransferAll(upload->path, O_WRONLY | O_CREAT, put.data().size(), [&](int fd, std::size_t done) {
+    return ::pwrite(fd, put.data().data() + done, put.data().size() - done, static_cast<off_t>(put.offset() + done));
+  }));
+  upload->next_offset += put.data().size();
+  bytes_received_ += put.data().size();
+  return {};
+}
+
+void ArtefactServer::ForgetOldUploads(std::int64_t now_ms) {
+  std::erase_if(uploads_, [&](const auto& entry) {
+    if (now_ms - entry.second.used_at_ms <= kUploadIdleMsMax) return false;
+    std::error_code ignored;
+    fs::remove(entry.second.path, ignored);
+    return true;
+  });
+}
+
+}  // namespace trem

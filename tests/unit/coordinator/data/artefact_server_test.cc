@@ -1,0 +1,170 @@
+// Goal: artefacts get through the data lane whole or not at all, in both directions, and a transfer that broke off goes on. Method: a real
+// server and real channels over ipc; a stand-in for the control lane only says where the server is.
+#include "coordinator/data/artefact_server.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+
+#include "mosaic/base/digest.h"
+#include "mosaic/base/file.h"
+#include "proto/channel/artefact_channel.h"
+#include "tests/support/paths.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+// `bytes` bytes without a period that a lost or repeated chunk could hide in.
+std::string Noise(std::size_t bytes) {
+  std::string text(bytes, '\0');
+  std::uint32_t state = 1;
+  for (char& c : text) c = static_cast<char>((state = state * 1664525U + 1013904223U) >> 24);
+  return text;
+}
+
+class ArtefactServerTest : public ::testing::Test {
+ protected:
+  ArtefactServerTest() {
+    Start();
+    control_ = std::move(RouterChannel::Bind(Endpoint("control"))).value();
+    thread_ = std::thread([this] {
+      while (!stop_) {
+        const auto incoming = control_->Poll(std::chrono::milliseconds(50));
+        if (!incoming || !incoming->envelope.ok()) continue;
+        v1::Envelope answer;
+        answer.mutable_data_lane()->set_endpoint(Endpoint("data"));
+        control_->Send(incoming->peer, answer);
+      }
+    });
+  }
+  ~ArtefactServerTest() override {
+    stop_ = true;
+    thread_.join();
+  }
+  std::string Endpoint(const std::string& name) const { return "ipc://" + (folder_ / name).string(); }
+  void Start(const ArtefactServerOptions& options = {}) {
+    server_.reset();
+    server_ = std::move(ArtefactServer::Start(Endpoint("data"), {}, store_, options)).value();
+  }
+  // A cache with nothing in it yet.
+  ArtefactStore NewCache(const std::string& name) const {
+    return ArtefactStore::OpenCache(folder_ / name, std::make_shared<ArtefactChannel>(Endpoint("control"), ChannelOptions{})).value();
+  }
+  fs::path ObjectOf(const ArtefactRef& ref) const { return store_.Locate(ref).value(); }
+
+  testing::TempDir folder_;
+  ArtefactStore store_ = ArtefactStore::Open(folder_ / "store").value();
+  std::unique_ptr<ArtefactServer> server_;
+  std::unique_ptr<RouterChannel> control_;
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+TEST_F(ArtefactServerTest, CarriesArtefactsOfAnySizeBothWays) {
+  const ArtefactStore near = NewCache("near");
+  const ArtefactStore far = NewCache("far");
+  for (const std::size_t bytes : {std::size_t{0}, std::size_t{1}, std::size_t{1} << 20, (std::size_t{1} << 20) + 1, std::size_t{20'000'000}}) {
+    const std::string content = Noise(bytes);
+    const ArtefactRef ref = near.PutBytes("a", content).value();
+    EXPECT_TRUE(store_.Verify(ref).ok()) << bytes;
+    const auto read = far.ReadVerified(ref, 1 << 30);
+    ASSERT_TRUE(read.ok()) << bytes << " " << read.status().message();
+    EXPECT_TRUE(*read == content) << bytes;
+  }
+}
+
+TEST_F(ArtefactServerTest, SendsNothingTwice) {
+  const std::string content = Noise(5'000'000);
+  ASSERT_TRUE(NewCache("one").PutBytes("a", content).ok());
+  EXPECT_EQ(server_->bytes_received(), content.size());
+  const ArtefactStore two = NewCache("two");
+  const ArtefactRef ref = two.PutBytes("a", content).value();
+  EXPECT_EQ(server_->bytes_received(), content.size());
+  ASSERT_TRUE(two.Locate(ref).ok());
+  EXPECT_EQ(server_->bytes_sent(), 0U);
+}
+
+TEST_F(ArtefactServerTest, GoesOnWhereAFetchBrokeOff) {
+  const std::string content = Noise(8'000'000);
+  const ArtefactRef ref = store_.PutBytes("a", content).value();
+  const ArtefactStore cache = NewCache("cache");
+  ASSERT_TRUE(WriteFileAtomically(folder_ / "cache/tmp" / (ref.sha256 + ".part"), content.substr(0, 7'000'000)).ok());
+  ASSERT_TRUE(cache.ReadVerified(ref, 1 << 30).ok());
+  EXPECT_EQ(server_->bytes_sent(), 1'000'000U);
+}
+
+TEST_F(ArtefactServerTest, APartThatIsNotTheArtefactsBeginningIsNoticedAndFetchedAnew) {
+  const ArtefactRef ref = store_.PutBytes("a", Noise(3'000'000)).value();
+  const ArtefactStore cache = NewCache("cache");
+  ASSERT_TRUE(WriteFileAtomically(folder_ / "cache/tmp" / (ref.sha256 + ".part"), std::string(2'000'000, 'x')).ok());
+  EXPECT_EQ(cache.Locate(ref).status().code(), StatusCode::kCorrupt);
+  EXPECT_TRUE(cache.Locate(ref).ok());
+}
+
+TEST_F(ArtefactServerTest, SaysThatAnArtefactIsMissingOrDamaged) {
+  const ArtefactStore cache = NewCache("cache");
+  ArtefactRef ref = store_.PutBytes("a", Noise(100'000)).value();
+  trem::testing::WriteFileContents(ObjectOf(ref), std::string(100'000, 'x'));
+  EXPECT_EQ(cache.Locate(ref).status().code(), StatusCode::kCorrupt);
+  ref.sha256 = Sha256Hex("never stored");
+  EXPECT_EQ(cache.Locate(ref).status().code(), StatusCode::kNotFound);
+}
+
+TEST_F(ArtefactServerTest, AFullStoreTakesNothingMoreAndKeepsWhatItHas) {
+  const ArtefactRef kept = store_.PutBytes("kept", Noise(600'000)).value();
+  Start({1'000'000});
+  const ArtefactStore cache = NewCache("cache");
+  const auto refused = cache.PutBytes("large", Noise(500'000));
+  EXPECT_EQ(refused.status().code(), StatusCode::kExhausted);
+  EXPECT_THAT(refused.status().message(), HasSubstr("--store-bytes-max"));
+  EXPECT_TRUE(cache.PutBytes("small", Noise(300'000)).ok());
+  EXPECT_TRUE(cache.Locate(kept).ok());
+}
+
+TEST_F(ArtefactServerTest, ASecondServerTakesOver) {
+  const ArtefactRef ref = store_.PutBytes("a", Noise(3'000'000)).value();
+  const ArtefactStore cache = NewCache("cache");
+  ASSERT_TRUE(cache.PutBytes("b", "b").ok());
+  Start();
+  EXPECT_TRUE(cache.Locate(ref).ok());
+}
+
+TEST_F(ArtefactServerTest, AStoppedTransferEnds) {
+  const ArtefactRef ref = store_.PutBytes("a", Noise(3'000'000)).value();
+  const auto channel = std::make_shared<ArtefactChannel>(Endpoint("control"), ChannelOptions{});
+  channel->set_on_chunk([] { return false; });
+  EXPECT_EQ(ArtefactStore::OpenCache(folder_ / "cache", channel)->Locate(ref).status().code(), StatusCode::kCancelled);
+}
+
+TEST_F(ArtefactServerTest, ACacheForgetsWhatWasUsedLeastRecently) {
+  const ArtefactStore cache = NewCache("cache");
+  std::vector<ArtefactRef> refs;
+  for (int i = 0; i < 4; ++i) refs.push_back(cache.PutBytes("a", Noise(1000 + static_cast<std::size_t>(i))).value());
+  const auto now = fs::file_time_type::clock::now();
+  for (std::size_t i = 0; i < refs.size(); ++i) {
+    fs::last_write_time(folder_ / "cache/objects" / refs[i].sha256.substr(0, 2) / refs[i].sha256, now - std::chrono::hours(10 - static_cast<int>(i)));
+  }
+  ASSERT_TRUE(cache.Locate(refs[0]).ok());  // Now the youngest.
+  ASSERT_TRUE(cache.Trim(2500).ok());
+  std::uint64_t bytes = 0;
+  EXPECT_TRUE(cache.Find(refs[0].sha256, &bytes).ok());
+  EXPECT_FALSE(cache.Find(refs[1].sha256, &bytes).ok());
+  EXPECT_FALSE(cache.Find(refs[2].sha256, &bytes).ok());
+  EXPECT_TRUE(cache.Find(refs[3].sha256, &bytes).ok());
+  EXPECT_TRUE(cache.Locate(refs[1]).ok()) << "what was forgotten is fetched again";
+}
+
+TEST_F(ArtefactServerTest, ALinkIsNoArtefact) {
+  const ArtefactRef ref = store_.PutBytes("a", "content").value();
+  const fs::path object = ObjectOf(ref);
+  fs::rename(object, folder_ / "elsewhere");
+  fs::create_symlink(folder_ / "elsewhere", object);
+  EXPECT_EQ(store_.Locate(ref).status().code(), StatusCode::kCorrupt);
+}
+
+}  // namespace
+}  // namespace trem
