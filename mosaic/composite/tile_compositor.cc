@@ -6,6 +6,7 @@
 #include <optional>
 #include <string>
 
+#include "mosaic/composite/reduce_row.h"
 #include "mosaic/composite/warp.h"
 #include "mosaic/geometry/footprint.h"
 
@@ -13,10 +14,8 @@ namespace trem {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-// WarpedScene's three planes.
-constexpr std::uint64_t kBytesPerSample = 3 * sizeof(float);
 // Weight at the very border of a scene, so that ground that only borders cover is still covered.
-constexpr double kTaperLeast = 1e-3;
+constexpr float kTaperLeast = 1e-3f;
 
 std::string Name(const CompositeScene& scene) {
   return "scene " + std::to_string(scene.scene_id) + " of window " + std::to_string(scene.window_id);
@@ -78,80 +77,68 @@ Result<std::vector<PlacedScene>> PlaceContributing(const MosaicGrid& grid, const
   return contributing;
 }
 
-double Taper(float border_distance, double taper_cells) {
-  if (taper_cells <= 0.0) return 1.0;
-  const double t = std::min(static_cast<double>(border_distance) / taper_cells, 1.0);
-  return std::max(t * t * (3.0 - 2.0 * t), kTaperLeast);
+float Taper(float border_distance, float taper_cells) {
+  if (!(taper_cells > 0.0f)) return 1.0f;
+  const float t = std::min(border_distance / taper_cells, 1.0f);
+  return std::max(t * t * (3.0f - 2.0f * t), kTaperLeast);
 }
 
-// A warped scene in the stack; layers lie in the order (window_id, scene_id).
+// A resampled scene in the stack: what its pixels say and how much that counts. Layers lie in the order (window_id, scene_id).
 struct Layer {
   const CompositeScene* scene = nullptr;
-  WarpedScene warped;
+  Roi roi_in_mosaic;
+  Image<float> value;   // Balanced; finite.
+  Image<float> weight;  // 0 where the scene says nothing.
+  Image<float> saturation;
 };
 
-class PixelReducer {
- public:
-  PixelReducer(const CompositeOptions& options, std::span<const Layer> layers) : options_(options), layers_(layers) {
-    sigma2_.resize(layers.size());
-    for (std::size_t i = 0; i < layers.size(); ++i) sigma2_[i] = layers[i].scene->position_sigma * layers[i].scene->position_sigma;
-  }
-
-  // Pixel (x, y) of the mosaic into pixel (column, row) of `tile`.
-  void Reduce(int x, int y, int column, int row, CompositeTile* tile) {
-    Collect(x, y);
-    if (samples_.empty()) return;
-    double weight_sum = 0.0, sigma2_sum = 0.0;
-    for (std::size_t i = 0; i < samples_.size(); ++i) {
-      weight_sum += samples_[i].weight;
-      sigma2_sum += samples_[i].weight * sigma2_[samples_[i].source];
+Layer MakeLayer(const CompositeScene& scene, WarpedScene warped, const CompositeOptions& options) {
+  Layer layer;
+  layer.scene = &scene;
+  layer.roi_in_mosaic = warped.roi_in_mosaic;
+  const auto gain = static_cast<float>(scene.gain), offset = static_cast<float>(scene.offset);
+  const auto half = static_cast<float>(options.half_information), taper = static_cast<float>(options.taper_cells);
+  // In place: `information` becomes the saturation, the distance the weight.
+  for (std::size_t i = 0; i < warped.intensity.pixels().size(); ++i) {
+    float& value = warped.intensity.pixels()[i];
+    float& saturation = warped.information.pixels()[i];
+    float& weight = warped.border_distance.pixels()[i];
+    value = gain * value + offset;
+    saturation = saturation / (saturation + half);
+    weight = saturation * Taper(weight, taper);
+    if (options.weigh_detail) weight *= std::min(warped.detail.pixels()[i], 1.0f);
+    if (std::isfinite(value) && weight > 0.0f) {
+      value += 0.0f;  // No negative zero, which would tie with the other one.
+    } else {
+      value = weight = saturation = 0.0f;
     }
-    const PixelMedian pixel = ReducePixel(samples_, options_.median);
-    tile->median.at(column, row) = pixel.median;
-    tile->count.at(column, row) = static_cast<float>(pixel.count);
-    tile->nmad.at(column, row) = pixel.count > 1 ? pixel.nmad : kNan;
-    tile->position_sigma.at(column, row) = static_cast<float>(std::sqrt(sigma2_sum / weight_sum));
-    tile->source.at(column, row) = static_cast<float>(layers_[pixel.source].scene->window_id);
   }
+  layer.value = std::move(warped.intensity);
+  layer.weight = std::move(warped.border_distance);
+  layer.saturation = std::move(warped.information);
+  return layer;
+}
 
- private:
-  // The samples that take part, in the layers' order; `source` is the layer's index.
-  void Collect(int x, int y) {
-    samples_.clear();
-    saturation_.clear();
-    double best = 0.0;
-    for (std::size_t i = 0; i < layers_.size(); ++i) {
-      const WarpedScene& warped = layers_[i].warped;
-      if (!warped.roi_in_mosaic.Contains(x, y)) continue;
-      const int wx = x - warped.roi_in_mosaic.x0, wy = y - warped.roi_in_mosaic.y0;
-      const float intensity = warped.intensity.at(wx, wy);
-      if (std::isnan(intensity)) continue;
-      const double n = warped.information.at(wx, wy);
-      const double saturation = n / (n + options_.half_information);
-      const CompositeScene& scene = *layers_[i].scene;
-      WeightedSample sample;
-      sample.value = static_cast<float>(scene.gain * intensity + scene.offset);
-      sample.weight = static_cast<float>(saturation * Taper(warped.border_distance.at(wx, wy), options_.taper_cells));
-      sample.source = static_cast<std::uint32_t>(i);
-      if (!(sample.weight > 0.0f) || !std::isfinite(sample.value)) continue;
-      samples_.push_back(sample);
-      saturation_.push_back(saturation);
-      best = std::max(best, saturation);
-    }
-    std::size_t kept = 0;
-    for (std::size_t i = 0; i < samples_.size(); ++i) {
-      const bool poor = saturation_[i] < 0.5 && saturation_[i] < options_.poor_ratio * best;
-      if (!poor) samples_[kept++] = samples_[i];
-    }
-    samples_.resize(kept);
+// Row `y` of the mosaic into row `row` of `tile`, whose first column is `x0`.
+void ReduceTileRow(std::span<const Layer> layers, int x0, int y, int row, const ReduceOptions& options, std::vector<SampleRow>* samples,
+                   CompositeTile* tile) {
+  samples->clear();
+  for (const Layer& layer : layers) {
+    const Roi& roi = layer.roi_in_mosaic;
+    if (y < roi.y0 || y >= roi.y1) continue;
+    SampleRow sample;
+    sample.begin = roi.x0 - x0;
+    sample.end = roi.x1 - x0;
+    sample.value = layer.value.row(y - roi.y0);
+    sample.weight = layer.weight.row(y - roi.y0);
+    sample.saturation = layer.saturation.row(y - roi.y0);
+    sample.sigma2 = static_cast<float>(layer.scene->position_sigma * layer.scene->position_sigma);
+    sample.source = static_cast<float>(layer.scene->window_id);
+    samples->push_back(sample);
   }
-
-  const CompositeOptions& options_;
-  std::span<const Layer> layers_;
-  std::vector<double> sigma2_;
-  std::vector<WeightedSample> samples_;
-  std::vector<double> saturation_;
-};
+  ReduceRow(*samples, tile->median.width(), options,
+            {tile->median.row(row), tile->count.row(row), tile->nmad.row(row), tile->position_sigma.row(row), tile->source.row(row)});
+}
 
 // Rows of the next band from `y0` so that its stack stays within the budget; at least one.
 int BandRows(const std::vector<PlacedScene>& placed, const Roi& roi, int y0, std::uint64_t bytes_max) {
@@ -160,7 +147,7 @@ int BandRows(const std::vector<PlacedScene>& placed, const Roi& roi, int y0, std
   for (int y = y0; y < roi.y1; ++y) {
     for (const PlacedScene& scene : placed) {
       if (y >= scene.roi_in_mosaic.y0 && y < scene.roi_in_mosaic.y1) {
-        bytes += static_cast<std::uint64_t>(scene.roi_in_mosaic.width()) * kBytesPerSample;
+        bytes += static_cast<std::uint64_t>(scene.roi_in_mosaic.width()) * kStackSampleBytes;
       }
     }
     if (bytes > bytes_max && rows > 0) break;
@@ -192,6 +179,22 @@ Result<std::vector<std::size_t>> ContributingScenes(const MosaicGrid& grid, cons
   return indices;
 }
 
+Result<std::vector<std::vector<std::size_t>>> ScenesByTile(const MosaicGrid& grid, std::span<const CompositeScene> scenes) {
+  std::vector<std::vector<std::size_t>> tiles(static_cast<std::size_t>(grid.tile_count()));
+  for (std::size_t i = 0; i < scenes.size(); ++i) {
+    TREM_ASSIGN_OR_RETURN(const PlacedScene placed, Place(grid, scenes[i], i));
+    const Roi& roi = placed.roi_in_mosaic;
+    if (roi.empty()) continue;
+    for (int row = roi.y0 / grid.tile_size; row * grid.tile_size < roi.y1; ++row) {
+      for (int column = roi.x0 / grid.tile_size; column * grid.tile_size < roi.x1; ++column) {
+        const int tile = row * grid.tile_columns() + column;
+        if (NeededCells(placed, scenes[i], Intersect(roi, grid.TileRoi(tile)), 0)) tiles[static_cast<std::size_t>(tile)].push_back(i);
+      }
+    }
+  }
+  return tiles;
+}
+
 Result<CompositeTile> ComposeTile(const MosaicGrid& grid, const Roi& roi_in_mosaic, std::span<const CompositeScene> scenes,
                                   const SceneReader& reader, const CompositeOptions& options, const std::function<bool(double)>& progress) {
   TREM_ASSIGN_OR_RETURN(const std::vector<PlacedScene> placed, PlaceContributing(grid, roi_in_mosaic, scenes));
@@ -199,6 +202,8 @@ Result<CompositeTile> ComposeTile(const MosaicGrid& grid, const Roi& roi_in_mosa
   const int height = roi_in_mosaic.height();
   CompositeTile tile{Image<float>(width, height, kNan), Image<float>(width, height, 0.0f), Image<float>(width, height, kNan),
                      Image<float>(width, height, kNan), Image<float>(width, height, kNoSource)};
+  const ReduceOptions reduce{options.median, static_cast<float>(options.poor_ratio), kNoSource};
+  std::vector<SampleRow> samples;
   for (int y0 = roi_in_mosaic.y0; y0 < roi_in_mosaic.y1;) {
     const int rows = BandRows(placed, roi_in_mosaic, y0, options.stack_bytes_max);
     const Roi band{roi_in_mosaic.x0, y0, roi_in_mosaic.x1, y0 + rows};
@@ -209,14 +214,13 @@ Result<CompositeTile> ComposeTile(const MosaicGrid& grid, const Roi& roi_in_mosa
       if (!progress(done)) return Cancelled("compositing was stopped");
       const CompositeScene& scene = scenes[placed[i].index];
       TREM_ASSIGN_OR_RETURN(std::optional<WarpedScene> warped, WarpOnto(placed[i], scene, band, reader, options));
-      if (warped) layers.push_back({&scene, std::move(*warped)});
+      if (warped) layers.push_back(MakeLayer(scene, std::move(*warped), options));
     }
-    PixelReducer reducer(options, layers);
     for (int y = band.y0; y < band.y1; ++y) {
       if ((y - band.y0) % 64 == 0 && !progress((y0 - roi_in_mosaic.y0 + 0.5 * (rows + y - y0)) / height)) {
         return Cancelled("compositing was stopped");
       }
-      for (int x = band.x0; x < band.x1; ++x) reducer.Reduce(x, y, x - roi_in_mosaic.x0, y - roi_in_mosaic.y0, &tile);
+      ReduceTileRow(layers, roi_in_mosaic.x0, y, y - roi_in_mosaic.y0, reduce, &samples, &tile);
     }
     y0 += rows;
   }

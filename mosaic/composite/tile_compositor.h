@@ -33,6 +33,9 @@ struct CompositeOptions {
   // Information (equivalent samples a cell) at which a scene's weight is half of what it can become: weight = n / (n + this). Larger
   // prefers the best seen scene; smaller comes nearer to one scene, one vote, which resists movers better.
   double half_information = 2.0;
+  // Whether a scene that samples the ground more coarsely than the mosaic does, because it looked from farther away or more obliquely,
+  // counts for less: in proportion to WarpedScene::detail, at most 1. Off: sharp and blurred views of the same ground count alike.
+  bool weigh_detail = true;
   // A sample with less than half_information AND less than this part of the best sample's n / (n + half) counts as poor: it is used only
   // where nothing better covers the pixel.
   double poor_ratio = 0.5;
@@ -43,7 +46,7 @@ struct CompositeOptions {
 
 // Planes of one tile, all of its size. Pixels that nothing covers: median, nmad and position_sigma NaN, count 0, source kNoSource.
 struct CompositeTile {
-  Image<float> median;          // Balanced internal grey levels.
+  Image<float> median;          // What the estimator makes of the samples: balanced internal grey levels.
   Image<float> count;           // Samples that took part.
   Image<float> nmad;            // Spread of the samples; NaN where fewer than 2 took part: one sample tells nothing about spread.
   Image<float> position_sigma;  // Standard error of position, CRS units: weighted root mean square over the samples, because the errors
@@ -55,6 +58,13 @@ inline constexpr float kNoSource = -1.0f;
 // Window ids are kept in float32 planes, which hold integers exactly up to here.
 inline constexpr std::uint32_t kWindowIdMax = 1u << 24;
 
+// What one scene costs while it is resampled: a cell that was read (two bands, its distance to the border, a mask and its padding) and a
+// pixel that was resampled before it goes onto the stack.
+inline constexpr std::uint64_t kSceneCellBytes = 18;
+inline constexpr std::uint64_t kWarpedPixelBytes = 16;
+// What a pixel of the stack costs: value, weight and saturation.
+inline constexpr std::uint64_t kStackSampleBytes = 12;
+
 // Reads the cells `roi` of the raster of scene `index` (of the span given to ComposeTile); (0, 0) is the raster's first cell.
 using SceneReader = std::function<Result<SceneRaster>(std::size_t index, const Roi& roi)>;
 
@@ -62,10 +72,14 @@ using SceneReader = std::function<Result<SceneRaster>(std::size_t index, const R
 Result<std::vector<std::size_t>> ContributingScenes(const MosaicGrid& grid, const Roi& roi_in_mosaic,
                                                     std::span<const CompositeScene> scenes);
 
-// Resamples every scene that reaches the rectangle `roi_in_mosaic` of `grid` onto it, and reduces each pixel to a weighted median (see
-// median.h). Weight of a sample: n / (n + half_information) times a smooth step over taper_cells from the scene's border. The result
-// depends on the set of scenes only, not on their order, and any tiling of a mosaic gives the same pixels. `progress` is called with the
-// fraction done; false cancels. Memory: about stack_bytes_max + the tile's planes + one scene.
+// For every tile of the grid the indices of the scenes whose footprint reaches it, rising. Cost: scenes + pairs.
+Result<std::vector<std::vector<std::size_t>>> ScenesByTile(const MosaicGrid& grid, std::span<const CompositeScene> scenes);
+
+// Resamples every scene that reaches the rectangle `roi_in_mosaic` of `grid` onto it, and reduces each pixel by options.median (see
+// median.h). Weight of a sample: n / (n + half_information) times a smooth step over taper_cells from the scene's border times its
+// detail. The result depends on the set of scenes only, not on their order, and any tiling of a mosaic gives the same pixels. `progress` is
+// called with the fraction done; false cancels. Memory: about stack_bytes_max + the tile's planes (20 B a pixel) + one scene as read and
+// warped (kSceneCellBytes a cell, kWarpedPixelBytes a pixel of a band).
 Result<CompositeTile> ComposeTile(const MosaicGrid& grid, const Roi& roi_in_mosaic, std::span<const CompositeScene> scenes,
                                   const SceneReader& reader, const CompositeOptions& options, const std::function<bool(double)>& progress);
 

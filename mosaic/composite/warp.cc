@@ -33,6 +33,12 @@ double KernelScale(double step_squared) {
 
 double SquaredNorm(double a, double b) { return a * a + b * b; }
 
+// Square of the smaller singular value of [[a, b], [c, d]].
+double LeastStretchSquared(double a, double b, double c, double d) {
+  const double sum = SquaredNorm(a, b) + SquaredNorm(c, d), determinant = a * d - b * c;
+  return 0.5 * (sum - std::sqrt(std::max(sum * sum - 4.0 * determinant * determinant, 0.0)));
+}
+
 struct Taps {
   int first = 0;  // Cell index of weight[0], relative to the source's images.
   int count = 0;
@@ -163,6 +169,7 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
   warped.intensity = Image<float>(width, height, std::numeric_limits<float>::quiet_NaN());
   warped.information = Image<float>(width, height, 0.0f);
   warped.border_distance = Image<float>(width, height, 0.0f);
+  warped.detail = Image<float>(width, height, 0.0f);
   const Eigen::Matrix3d& m = scene_from_mosaic.matrix;
   const int source_width = source.intensity.width();
   const int source_height = source.intensity.height();
@@ -181,8 +188,10 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
       if (!(cell_x >= 0.0 && cell_y >= 0.0 && cell_x < source_width && cell_y < source_height)) continue;
       const float distance = source.border_distance.at(static_cast<int>(cell_x), static_cast<int>(cell_y));
       if (!(distance > 0.0f)) continue;
-      const double scale_u = KernelScale(SquaredNorm((m(0, 0) - u * m(2, 0)) / depth, (m(0, 1) - u * m(2, 1)) / depth));
-      const double scale_v = KernelScale(SquaredNorm((m(1, 0) - v * m(2, 0)) / depth, (m(1, 1) - v * m(2, 1)) / depth));
+      const double u_x = (m(0, 0) - u * m(2, 0)) / depth, u_y = (m(0, 1) - u * m(2, 1)) / depth;
+      const double v_x = (m(1, 0) - v * m(2, 0)) / depth, v_y = (m(1, 1) - v * m(2, 1)) / depth;
+      const double scale_u = KernelScale(SquaredNorm(u_x, u_y));
+      const double scale_v = KernelScale(SquaredNorm(v_x, v_y));
       ComputeTaps(u - nearest_u, scale_u, &tx);
       ComputeTaps(v - nearest_v, scale_v, &ty);
       tx.first += static_cast<int>(cell_x);
@@ -193,6 +202,7 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
       warped.intensity.at(column, row) = static_cast<float>(sample.intensity);
       warped.information.at(column, row) = static_cast<float>(sample.information);
       warped.border_distance.at(column, row) = distance;
+      warped.detail.at(column, row) = static_cast<float>(LeastStretchSquared(u_x, u_y, v_x, v_y));
     }
   }
   return warped;

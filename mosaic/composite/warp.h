@@ -27,6 +27,9 @@ struct WarpedScene {
   Image<float> intensity;  // NaN where invalid.
   Image<float> information;
   Image<float> border_distance;  // Cells; 0 where invalid.
+  // How finely the scene samples the ground there: the squared number of cells that one mosaic pixel steps over in the direction in which
+  // they are fewest (the smaller singular value of the map's derivative). 0 where invalid.
+  Image<float> detail;
 };
 
 // Cells that may be needed around the cells under a pixel: half the largest kernel. PrepareWarp's part must hold them.

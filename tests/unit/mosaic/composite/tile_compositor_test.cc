@@ -184,13 +184,99 @@ TEST(TileCompositor, EqualsANaiveMedianOverWholeWarpedScenes) {
         if (n < 2.0 && s < 0.5 * best) continue;
         const double t = std::min(warped[i].border_distance.at(x, y) / 15.0, 1.0);
         samples.push_back({static_cast<float>(world.scenes[i].gain * warped[i].intensity.at(x, y) + world.scenes[i].offset),
-                           static_cast<float>(s * std::max(t * t * (3.0 - 2.0 * t), 1e-3)), static_cast<std::uint32_t>(i)});
+                           static_cast<float>(s * std::max(t * t * (3.0 - 2.0 * t), 1e-3) * std::min(1.0f, warped[i].detail.at(x, y))),
+                           static_cast<std::uint32_t>(i)});
       }
       ASSERT_EQ(tile.count.at(x, y), static_cast<float>(samples.size()));
       if (samples.empty()) continue;
       ASSERT_NEAR(tile.median.at(x, y), ReducePixel(samples, options.median).median, 1e-4);
     }
   }
+}
+
+TEST(TileCompositor, ScenesByTileAreThoseThatContributeToEachTile) {
+  const World world = MakeWorld(24, 9, false);
+  const auto tiles = ScenesByTile(world.grid, world.scenes);
+  ASSERT_TRUE(tiles.ok()) << tiles.status().message();
+  ASSERT_EQ(tiles->size(), static_cast<std::size_t>(world.grid.tile_count()));
+  std::size_t pairs = 0;
+  for (int index = 0; index < world.grid.tile_count(); ++index) {
+    std::vector<std::size_t> expected = *ContributingScenes(world.grid, world.grid.TileRoi(index), world.scenes);
+    std::sort(expected.begin(), expected.end());
+    EXPECT_EQ((*tiles)[static_cast<std::size_t>(index)], expected) << "tile " << index;
+    pairs += expected.size();
+  }
+  EXPECT_LT(pairs, world.scenes.size() * tiles->size());
+}
+
+// One ground seen by two scenes side by side that overlap, the right one after an exposure change that the alignment undid but for an
+// error of gain and offset.
+World TwoLegs(double gain_error, double offset_error) {
+  World world;
+  world.grid = Grid(300, 60, 64);
+  for (std::uint32_t i = 0; i < 2; ++i) {
+    CompositeScene scene;
+    scene.window_id = i;
+    scene.raster_in_scene = {0, 0, 190, 60};
+    const double x0 = 5000.0 + 0.5 * 110.0 * i;
+    scene.world_from_scene.matrix << 0.5, 0.0, x0, 0.0, -0.5, 8000.0, 0.0, 0.0, 1.0;
+    scene.gain = i == 0 ? 1.0 : 1.6;
+    scene.offset = i == 0 ? 0.0 : -12.0;
+    SceneRaster raster{Image<float>(190, 60), Image<float>(190, 60, 8.0f), {}, {}, {0, 0, 190, 60}};
+    for (int y = 0; y < 60; ++y) {
+      for (int x = 0; x < 190; ++x) {
+        double balanced = Ground(x0 + 0.5 * x, 8000.0 - 0.5 * y);
+        if (i == 1) balanced = (1.0 + gain_error) * balanced + offset_error;
+        raster.intensity.at(x, y) = static_cast<float>((balanced - scene.offset) / scene.gain);
+      }
+    }
+    world.scenes.push_back(scene);
+    world.rasters.push_back(std::move(raster));
+  }
+  return world;
+}
+
+TEST(TileCompositor, LegsOfDifferentExposureMeetWithoutASeam) {
+  // What balancing leaves over (1 %, 1 level) must fade across the overlap: nowhere may a neighbour differ by more than the ground does and
+  // a tenth of the leftover. For every estimator that promises it.
+  for (const Estimator estimator : {Estimator::kWeightedMedian, Estimator::kBiweight}) {
+    CompositeOptions options;
+    options.taper_cells = 40.0;
+    options.median.estimator = estimator;
+    const CompositeTile clean = Compose(TwoLegs(0.0, 0.0), {0, 0, 300, 60}, options);
+    const CompositeTile tile = Compose(TwoLegs(0.01, 1.0), {0, 0, 300, 60}, options);
+    const double leftover = 1.0 + 0.01 * 180.0;
+    double most = 0.0;
+    for (int y = 20; y < 40; ++y) {
+      for (int x = 0; x + 1 < 300; ++x) {
+        if (tile.count.at(x, y) == 0.0f || tile.count.at(x + 1, y) == 0.0f) continue;
+        const double step = (tile.median.at(x + 1, y) - clean.median.at(x + 1, y)) - (tile.median.at(x, y) - clean.median.at(x, y));
+        most = std::max(most, std::abs(step));
+      }
+    }
+    EXPECT_LT(most, 0.1 * leftover) << "estimator " << static_cast<int>(estimator);
+  }
+}
+
+TEST(TileCompositor, TheFinerOfTwoViewsCountsForMore) {
+  // Two scenes of the same ground and information, one sampled four times as coarsely in one direction, with another level each.
+  World world;
+  world.grid = Grid(60, 60, 64);
+  for (std::uint32_t i = 0; i < 2; ++i) {
+    const int height = i == 0 ? 60 : 15;
+    CompositeScene scene;
+    scene.window_id = i;
+    scene.raster_in_scene = {0, 0, 60, height};
+    scene.world_from_scene.matrix << 0.5, 0.0, 5000.0, 0.0, i == 0 ? -0.5 : -2.0, 8000.0, 0.0, 0.0, 1.0;
+    world.scenes.push_back(scene);
+    world.rasters.push_back(
+        {Image<float>(60, height, i == 0 ? 10.0f : 90.0f), Image<float>(60, height, 20.0f), {}, {}, {0, 0, 60, height}});
+  }
+  CompositeOptions options = Options();
+  options.taper_cells = 0.0;
+  EXPECT_NEAR(Compose(world, {0, 0, 60, 60}, options).median.at(30, 30), 10.0f, 1e-3);
+  options.weigh_detail = false;
+  EXPECT_NEAR(Compose(world, {0, 0, 60, 60}, options).median.at(30, 30), 50.0f, 1e-3);
 }
 
 TEST(TileCompositor, PoorlySeenGroundIsUsedOnlyWhereNothingBetterCoversIt) {
