@@ -44,6 +44,7 @@ struct Request {
   RemoteOptions remote;
   std::string sortie;
   std::vector<std::string> overrides;
+  std::vector<std::string> mosaic;  // Overrides that mosaic options stand for.
   std::string job_id;
   std::string output;
   std::string role;
@@ -67,6 +68,40 @@ int ExecWorker(int argc, char** argv) {
   ::execv(program.c_str(), arguments.data());
   PrintError("cannot start " + program + ": " + std::strerror(errno) + "; is the installation complete?");
   return kExitFailed;
+}
+
+// Options that are fields of Sortie.mosaic; they come before --set, which has the last word.
+void AddMosaicOptions(CLI::App* command, Request* request) {
+  const auto field = [&](const std::string& option, const std::string& name, const std::string& type, const std::string& text) {
+    command
+        ->add_option_function<std::string>(
+            option, [request, name](const std::string& value) { request->mosaic.push_back(name + "=" + value); }, text)
+        ->type_name(type);
+  };
+  field("--crs", "mosaic.crs", "CRS", "Projected CRS in metres, as GDAL understands it, such as EPSG:32630; default: UTM zone of the area");
+  field("--gsd", "mosaic.gsd", "M", "Ground sample distance, m (sensor pixels without telemetry); default: the sensor's / tre.ratio");
+  command
+      ->add_option_function<std::vector<double>>(
+          "--bounds",
+          [request](const std::vector<double>& box) {
+            constexpr const char* kNames[] = {"x_min", "y_min", "x_max", "y_max"};
+            for (std::size_t i = 0; i < 4; ++i) request->mosaic.push_back(fmt::format("mosaic.bounds.{}={}", kNames[i], box[i]));
+          },
+          "What the mosaic covers, in coordinates of its CRS; default: all that was seen")
+      ->expected(4)
+      ->delimiter(',')
+      ->type_name("X_MIN,Y_MIN,X_MAX,Y_MAX");
+  field("--cutline", "mosaic.cutline_path", "FILE", "Polygons (GeoJSON, GeoPackage) outside of which the mosaic is nodata");
+  field("--estimator", "mosaic.estimator", "NAME", "weighted_median (default), median or biweight");
+  command->add_flag_callback(
+      "--baseline", [request] { request->mosaic.push_back("mosaic.baseline=true"); },
+      "Also the mosaic at the sensor's resolution of frames placed by image motion alone");
+}
+
+std::vector<std::string> OverridesOf(const Request& request) {
+  std::vector<std::string> overrides = request.mosaic;
+  overrides.insert(overrides.end(), request.overrides.begin(), request.overrides.end());
+  return overrides;
 }
 
 void AddOverrides(CLI::App* command, Request* request) {
@@ -96,6 +131,7 @@ void AddRunCommand(CLI::App* app, Request* request) {
   command->add_option("--workers", run->worker_count, "Worker processes; default: one a core")
       ->check(CLI::Range(1, kWorkersMax))
       ->type_name("N");
+  AddMosaicOptions(command, request);
   AddOverrides(command, request);
   command->add_option("--work-dir", request->work_folder, "Folder for what is needed to resume; default: <output>.work");
   command->add_flag("--keep-work", run->keep_work, "Keep that folder after success");
@@ -106,14 +142,15 @@ void AddRunCommand(CLI::App* app, Request* request) {
       "Examples:\n"
       "  trem run flight.ts -o mosaic.tif\n"
       "  trem run frames/ -o out/mosaic.tif --workers 4 --set tre.ratio=2\n"
+      "  trem run flight.ts -o mosaic.tif --crs EPSG:32630 --gsd 0.15 --bounds 500000,4200000,500800,4200600\n"
       "  trem run sortie.textproto -o mosaic.tif --json > report.json\n\n"
-      "Exit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 130 interrupted");
+      "Exit codes: 0 done, 1 failed, 2 usage, 3 invalid input, 5 done in part (the warnings name the holes), 130 interrupted");
   command->callback([request] {
     request->action = [request] {
       request->run.sortie = request->sortie;
       request->run.output = request->output;
       request->run.work_folder = request->work_folder;
-      request->run.overrides = request->overrides;
+      request->run.overrides = OverridesOf(*request);
       return RunRunCommand(request->run);
     };
   });
@@ -132,13 +169,14 @@ void AddPlanCommand(CLI::App* app, Request* request) {
 void AddSubmitAndFetch(CLI::App* app, Request* request) {
   CLI::App* submit = AddRemoteCommand(app, request, "submit", "Give a job to a running coordinator and return at once");
   submit->add_option("SORTIE", request->sortie, "A path that the workers can read too, or a spec")->required();
+  AddMosaicOptions(submit, request);
   AddOverrides(submit, request);
   submit->add_option("--job-id", request->job_id, "Name of the job, a-z 0-9 -; the same id again is the same job; default: made up");
   submit->footer(
       "Prints the job's id.\n\nExamples:\n  trem submit flight.ts --coordinator tcp://127.0.0.1:7411\n"
       "  JOB=$(trem submit frames/) && trem watch $JOB && trem fetch $JOB -o mosaic.tif");
   submit->callback([request] {
-    request->action = [request] { return RunSubmitCommand(request->remote, request->sortie, request->overrides, request->job_id); };
+    request->action = [request] { return RunSubmitCommand(request->remote, request->sortie, OverridesOf(*request), request->job_id); };
   });
   CLI::App* fetch = AddRemoteCommand(app, request, "fetch", "Copy the results of a job that is done");
   fetch->add_option("JOB", request->job_id, "Id of the job")->required();

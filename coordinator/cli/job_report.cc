@@ -40,7 +40,11 @@ ordered_json JobJson(const v1::JobStatus& job) {
   json["stages"] = ordered_json::array();
   for (const v1::StageStatus& stage : job.stages()) {
     json["stages"].push_back(
-        {{"kind", TaskKindName(stage.kind())}, {"total", stage.total()}, {"done", stage.done()}, {"running", stage.running()}});
+        {{"kind", TaskKindName(stage.kind())},
+         {"total", stage.total()},
+         {"done", stage.done()},
+         {"running", stage.running()},
+         {"elapsed_ms", stage.elapsed_ms()}});
   }
   json["outputs"] = ordered_json::array();
   for (const v1::ArtefactRef& output : job.outputs()) {

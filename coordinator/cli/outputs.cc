@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <system_error>
 
+#include "coordinator/cli/published_text.h"
 #include "mosaic/base/digest.h"
 #include "mosaic/base/file.h"
 #include "proto/codec/convert.h"
@@ -18,6 +19,7 @@ namespace {
 
 constexpr const char* kMosaicName = "mosaic.tif";
 constexpr std::string_view kNamePrefix = "mosaic";
+constexpr std::uint64_t kTextBytesMax = std::uint64_t{256} << 20;
 
 fs::path FolderOf(const fs::path& path) { return path.has_parent_path() ? path.parent_path() : fs::path("."); }
 
@@ -101,6 +103,13 @@ Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, cons
                      "; check the disk and run the same command again");
     }
     files.push_back({ref.name, path, ref.sha256, ref.bytes});
+    if (IsFinishedWhenPublished(ref.name)) {
+      TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(staged, kTextBytesMax));
+      TREM_ASSIGN_OR_RETURN(const std::string finished, FinishedText(ref.name, text, output, job));
+      TREM_RETURN_IF_ERROR(WriteFileAtomically(staged, finished));
+      files.back().sha256 = Sha256Hex(finished);
+      files.back().bytes = finished.size();
+    }
   }
   const auto is_mosaic = [](const PublishedFile& file) { return file.name == kMosaicName; };
   if (std::none_of(files.begin(), files.end(), is_mosaic)) return Failed("the job is done but has no output named mosaic.tif");

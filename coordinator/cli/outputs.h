@@ -26,9 +26,9 @@ Result<std::filesystem::path> OutputPath(const std::filesystem::path& output, co
 // Fails early when `output` could not be written at the end: not a .tif, a folder, its folder missing or not writable.
 Status CheckOutput(const std::filesystem::path& output);
 
-// Copies the results from the artefact store to their places beside `output`. All of them are copied to a staging folder on the
-// output's file system and their digests verified before the first appears under its final name; the mosaic itself appears last. On
-// failure nothing is left. `work_folder`: preferred place of the staging folder.
+// Copies (and finishes, see published_text.h) the results from the artefact store to their places beside `output`. All of them are copied to
+// a staging folder on the output's file system and their digests verified before the first appears under its final name; the mosaic
+// itself appears last. On failure nothing is left. `work_folder`: preferred place of the staging folder.
 Result<std::vector<PublishedFile>> PublishOutputs(const v1::JobStatus& job, const ArtefactStore& store,
                                                   const std::filesystem::path& output, const std::filesystem::path& work_folder);
 

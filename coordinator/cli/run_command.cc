@@ -156,7 +156,7 @@ void PrintJson(const Status& status, int exit_code, const RunState& state) {
 void PrintSummary(const RunState& state) {
   for (const PublishedFile& file : state.files)
     fmt::print("{:>10}  {}\n", FormatBytes(static_cast<double>(file.bytes)), file.path.string());
-  fmt::print("done in {}", FormatDuration(state.elapsed_s));
+  fmt::print("done {}in {}", state.job.state() == v1::JOB_DONE_IN_PART ? "in part " : "", FormatDuration(state.elapsed_s));
   if (state.job.peak_memory_bytes() > 0) {
     fmt::print("; a worker needed at most {}", FormatBytes(static_cast<double>(state.job.peak_memory_bytes())));
   }

@@ -11,6 +11,13 @@ constexpr std::uint64_t kCellBytes = 120;  // The scene's planes, and once more 
 constexpr std::uint64_t kHeldBytesPerPixel = 8;
 constexpr std::uint64_t kCanvasFactor = 2;
 constexpr std::uint64_t kLayersMax = 64;
+// As in mosaic/composite/tile_compositor.h and worker/tasks, which this folder may not include.
+constexpr std::uint64_t kStackSampleBytes = 12;
+constexpr std::uint64_t kStackBytesMax = 256 * kMebibyte;
+constexpr std::uint64_t kSceneCellBytes = 18;
+constexpr std::uint64_t kSceneCellsMax = 1ULL << 24;
+// Five planes of the tile, the same while they are written, one scene resampled onto all of it.
+constexpr std::uint64_t kTilePixelBytes = 20 + 20 + 16;
 
 std::uint64_t RoundUp(std::uint64_t bytes) { return (bytes + kMebibyte - 1) / kMebibyte * kMebibyte; }
 
@@ -39,10 +46,16 @@ std::uint64_t AlignMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t wi
 }
 
 std::uint64_t CompositeMemoryBytes(const v1::Sortie& sortie, std::uint64_t window_bytes_sum) {
-  const std::uint64_t side_px = sortie.mosaic().tile_px();
-  return RoundUp(kProcessBytes + side_px * side_px * (kLayersMax * 12 + 64) + 64 * kMebibyte + 2 * window_bytes_sum);
+  const std::uint64_t side_px = sortie.mosaic().tile_px(), pixels = side_px * side_px;
+  const std::uint64_t stack_bytes = std::min(pixels * kLayersMax * kStackSampleBytes, kStackBytesMax);
+  const std::uint64_t roi_cells_side = std::uint64_t{sortie.windows().roi_px()} * sortie.tre().ratio();
+  const std::uint64_t scene_cells = std::min(roi_cells_side * roi_cells_side * kCanvasFactor, kSceneCellsMax);
+  return RoundUp(kProcessBytes + stack_bytes + pixels * kTilePixelBytes + scene_cells * kSceneCellBytes + 2 * window_bytes_sum);
 }
 
-std::uint64_t ExportMemoryBytes(std::uint64_t window_bytes_sum) { return RoundUp(kProcessBytes + 256 * kMebibyte + 4 * window_bytes_sum); }
+std::uint64_t ExportMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t window_bytes_sum) {
+  const std::uint64_t frame_bytes = std::uint64_t{ingest.width_px()} * ingest.height_px() * (kFrameBytesPerPixel + kHeldBytesPerPixel);
+  return RoundUp(kProcessBytes + 256 * kMebibyte + frame_bytes + 4 * window_bytes_sum);
+}
 
 }  // namespace trem

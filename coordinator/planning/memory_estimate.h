@@ -26,11 +26,13 @@ std::uint64_t EnhanceMemoryBytes(const v1::Sortie& sortie, std::uint32_t width_p
 // 4 (sum of window.pb bytes) + 4096 B a frame of the manifest: views, ties and the sparse normal equations.
 std::uint64_t AlignMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t window_bytes_sum);
 
-// tile_px^2 (64 layers 12 B + 64 B) + 64 MiB of scene being warped + 2 (sum of window.pb bytes). The layers are the scenes that cover one
-// pixel; more of them are reduced in strips.
+// min(tile_px^2 64 layers 12 B, 256 MiB) + tile_px^2 56 B + min(2 (roi_px ratio)^2, 2^24) cells of the scene being warped 18 B + 2 (sum of
+// the bytes of the window.pb that reach the tile). The layers are the scenes that cover one pixel; more of them, and larger tiles, are
+// reduced in bands. Does not depend on the size of the mosaic.
 std::uint64_t CompositeMemoryBytes(const v1::Sortie& sortie, std::uint64_t window_bytes_sum);
 
-// Tiles pass through one by one; GDAL's block cache 256 MiB, the chain and the windows: 4 (sum of window.pb bytes).
-std::uint64_t ExportMemoryBytes(std::uint64_t window_bytes_sum);
+// Tiles pass through one by one; GDAL's block cache and the pictures 256 MiB, the frames that the report compares with w h 48 B, the chain
+// and the windows: 4 (sum of window.pb bytes). Does not depend on the size of the mosaic.
+std::uint64_t ExportMemoryBytes(const v1::IngestSummary& ingest, std::uint64_t window_bytes_sum);
 
 }  // namespace trem

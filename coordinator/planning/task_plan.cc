@@ -27,11 +27,29 @@ void AddAll(const std::vector<v1::ArtefactRef>& refs, v1::TaskSpec* spec) {
   }
 }
 
+// The windows that reach tile `index`, without holes.
+std::vector<v1::ArtefactRef> WindowsOfTile(const JobInputs& inputs, std::uint32_t index) {
+  TREM_CHECK(index < static_cast<std::uint32_t>(inputs.align.tiles_size()));
+  std::vector<v1::ArtefactRef> windows;
+  for (const std::uint32_t window_id : inputs.align.tiles(static_cast<int>(index)).window_ids()) {
+    TREM_CHECK(window_id < inputs.window_pbs.size());
+    if (!IsHole(inputs.window_pbs[window_id])) windows.push_back(inputs.window_pbs[window_id]);
+  }
+  return windows;
+}
+
+std::uint64_t BytesOf(const std::vector<v1::ArtefactRef>& refs) {
+  std::uint64_t bytes = 0;
+  for (const v1::ArtefactRef& ref : refs) bytes += ref.bytes();
+  return bytes;
+}
+
 void FillExportParams(const JobInputs& inputs, v1::TaskSpec* spec) {
   for (std::size_t i = 0; i < inputs.tiles.size(); ++i) {
     if (IsHole(inputs.tiles[i])) spec->mutable_export_params()->add_missing_tiles(static_cast<std::uint32_t>(i));
   }
   for (const v1::Note& hole : inputs.holes) *spec->mutable_export_params()->add_holes() = hole;
+  for (const v1::Note& note : inputs.notes) *spec->mutable_export_params()->add_notes() = note;
 }
 
 // The key of a spec whose window.pb inputs have this digest; those that it holds are not looked at.
@@ -59,7 +77,7 @@ void FillEnhance(const JobInputs& inputs, std::uint32_t index, v1::TaskSpec* spe
 }
 
 // Whether tasks of this kind read every window.pb.
-bool ReadsWindows(v1::TaskKind kind) { return kind == v1::ALIGN || kind == v1::COMPOSITE || kind == v1::EXPORT; }
+bool ReadsWindows(v1::TaskKind kind) { return kind == v1::ALIGN || kind == v1::EXPORT; }
 
 // The spec without its key, and without the windows unless they are asked for.
 v1::TaskSpec MakeSpec(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t index, bool with_windows) {
@@ -83,14 +101,15 @@ v1::TaskSpec MakeSpec(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t 
       break;
     case v1::COMPOSITE:
       TREM_CHECK(index < inputs.align.tile_count());
+      if (with_windows) AddAll(WindowsOfTile(inputs, index), &spec);
       spec.mutable_composite()->set_tile_index(index);
-      spec.set_memory_bytes(CompositeMemoryBytes(inputs.sortie, inputs.window_pb_bytes));
+      spec.set_memory_bytes(CompositeMemoryBytes(inputs.sortie, BytesOf(WindowsOfTile(inputs, index))));
       break;
     case v1::EXPORT:
       TREM_CHECK(inputs.tiles.size() == inputs.align.tile_count());
       AddAll(inputs.tiles, &spec);
       FillExportParams(inputs, &spec);
-      spec.set_memory_bytes(ExportMemoryBytes(inputs.window_pb_bytes));
+      spec.set_memory_bytes(ExportMemoryBytes(inputs.ingest, inputs.window_pb_bytes));
       break;
     default:
       TREM_CHECK_MSG(false, "task kind " + std::to_string(kind));
@@ -99,6 +118,9 @@ v1::TaskSpec MakeSpec(const JobInputs& inputs, v1::TaskKind kind, std::uint32_t 
 }
 
 std::string KeyOfPlanned(const JobInputs& inputs, const v1::TaskSpec& spec) {
+  if (spec.kind() == v1::COMPOSITE) {
+    return KeyOf(spec, WindowsDigest(WindowsOfTile(inputs, spec.composite().tile_index())), inputs.job_id);
+  }
   if (!ReadsWindows(spec.kind())) return KeyOf(spec, WindowsDigest({}), inputs.job_id);
   return KeyOf(spec, inputs.window_pbs_digest.empty() ? WindowsDigest(inputs.window_pbs) : inputs.window_pbs_digest, inputs.job_id);
 }
@@ -175,6 +197,10 @@ Status CheckTaskResult(v1::TaskKind kind, const v1::TaskResult& result) {
   if (kind == v1::ALIGN && result.align().tile_count() > kTilesMax) {
     return Failed("the result of an ALIGN task has " + std::to_string(result.align().tile_count()) + " tiles; at most " +
                   std::to_string(kTilesMax) + " are possible: raise mosaic.tile_px or mosaic.gsd");
+  }
+  if (kind == v1::ALIGN && static_cast<std::uint32_t>(result.align().tiles_size()) != result.align().tile_count()) {
+    return Failed("the result of an ALIGN task names the windows of " + std::to_string(result.align().tiles_size()) + " tiles; expected " +
+                  std::to_string(result.align().tile_count()));
   }
   return {};
 }

@@ -27,13 +27,14 @@ struct JobInputs {
   v1::ArtefactRef alignment;                // After ALIGN.
   std::vector<v1::ArtefactRef> tiles;       // After COMPOSITE: the first output of each, in tile order; without a digest: a hole.
   std::vector<v1::Note> holes;              // Tasks that were given up, for the report.
+  std::vector<v1::Note> notes;              // After COMPOSITE: of all tasks, sorted and unique, for the report.
 };
 
 // The task of `kind` number `index` (window id for ENHANCE, tile index for COMPOSITE, 0 for the others) with its inputs:
 //   INGEST     none
 //   ENHANCE    manifest.pb
 //   ALIGN      manifest.pb, every window.pb in window order
-//   COMPOSITE  alignment.pb, every window.pb in window order
+//   COMPOSITE  alignment.pb, the window.pb of the windows that reach the tile, in window order
 //   EXPORT     alignment.pb, manifest.pb, every window.pb, every tile.tif in tile order
 // Windows and tiles that are holes are left out; EXPORT's params name the missing tiles.
 // Its result's outputs must begin with MainArtefactName(kind), except for EXPORT, whose outputs are the user's files.

@@ -23,6 +23,10 @@ v1::Note HoleNote(const TaskPlace& place, const Status& reason) {
   return note;
 }
 
+std::tuple<std::string, std::string, std::string, int> OrderOf(const v1::Note& note) {
+  return {note.code(), note.subject(), note.message(), static_cast<int>(note.severity())};
+}
+
 }  // namespace
 
 JobGraph::JobGraph(std::string job_id, v1::Sortie sortie) {
@@ -56,7 +60,11 @@ Result<std::vector<PlannedTask>> JobGraph::Finish(const TaskPlace& place, const 
   ++current.done;
   current.elapsed_ms += finished.elapsed_ms;
   peak_memory_bytes_ = std::max(peak_memory_bytes_, finished.peak_memory_bytes);
-  for (const v1::Note& note : finished.result.notes()) AddNote(note);
+  for (const v1::Note& note : finished.result.notes()) {
+    AddNote(note);
+    task_notes_.try_emplace(OrderOf(note), note);
+    if (place.kind == v1::EXPORT && note.hole()) empty_.emplace(note);
+  }
   SetOutput(place, finished.result);
   return UnfoldWhenComplete(place.kind);
 }
@@ -129,6 +137,13 @@ Result<std::vector<PlannedTask>> JobGraph::Unfold(v1::TaskKind finished_kind) {
       Plan(v1::ALIGN, 0, &planned);
       break;
     case v1::ALIGN: {
+      for (const v1::TileInputs& tile : inputs_.align.tiles()) {
+        for (const std::uint32_t window_id : tile.window_ids()) {
+          if (window_id < inputs_.windows.size()) continue;
+          return Failed("the ALIGN task named window " + std::to_string(window_id) + "; the job has " +
+                        std::to_string(inputs_.windows.size()) + " windows");
+        }
+      }
       const std::uint32_t tile_count = inputs_.align.tile_count();
       inputs_.tiles.resize(tile_count);
       stage(v1::COMPOSITE).total = tile_count;
@@ -138,6 +153,7 @@ Result<std::vector<PlannedTask>> JobGraph::Unfold(v1::TaskKind finished_kind) {
     }
     case v1::COMPOSITE:
       for (const auto& [place, reason] : holes_) inputs_.holes.push_back(HoleNote(place, reason));
+      for (const auto& [order, note] : task_notes_) inputs_.notes.push_back(note);
       Plan(v1::EXPORT, 0, &planned);
       break;
     default:
@@ -152,9 +168,7 @@ std::optional<double> JobGraph::MeanElapsedMs(v1::TaskKind kind) const {
   return static_cast<double>(s.elapsed_ms) / s.done;
 }
 
-void JobGraph::AddNote(const v1::Note& note) {
-  notes_.try_emplace({note.code(), note.subject(), note.message(), static_cast<int>(note.severity())}, note);
-}
+void JobGraph::AddNote(const v1::Note& note) { notes_.try_emplace(OrderOf(note), note); }
 
 void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& running, std::uint32_t worker_count,
                           v1::JobStatus* status) const {
@@ -172,6 +186,7 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
     message->set_done(stages_[i].done);
     message->set_running(running_count[i]);
     message->set_running_fraction(running_fraction[i]);
+    message->set_elapsed_ms(stages_[i].elapsed_ms);
     if (stages_[i].total > 0) fraction += kShares[i] * (stages_[i].done + stages_[i].holes + running_fraction[i]) / stages_[i].total;
   }
   status->set_fraction(done() ? 1.0 : std::min(fraction, 1.0));
@@ -190,6 +205,7 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
     if (static_cast<std::size_t>(status->holes_size()) == kStatusNotesMax) break;
     *status->add_holes() = HoleNote(place, reason);
   }
+  if (empty_) *status->add_holes() = *empty_;
   status->set_peak_memory_bytes(peak_memory_bytes_);
   status->set_retries(retries_);
 }

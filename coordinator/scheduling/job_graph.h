@@ -68,6 +68,8 @@ class JobGraph {
   // Mean duration of the stage's finished tasks, once at least three and half of all are; nullopt before.
   std::optional<double> MeanElapsedMs(v1::TaskKind kind) const;
   bool done() const { return stage(v1::EXPORT).done == 1; }
+  // Of a job that is done: whether something of its mosaic is missing.
+  bool in_part() const { return !holes_.empty() || empty_.has_value(); }
   const v1::Sortie& sortie() const { return inputs_.sortie; }
 
   // Adds a note that no task reported.
@@ -105,7 +107,10 @@ class JobGraph {
   std::array<Stage, kStageCount> stages_;
   std::map<TaskPlace, Status> holes_;
   std::vector<v1::ArtefactRef> outputs_;
-  std::map<std::tuple<std::string, std::string, std::string, int>, v1::Note> notes_;  // Sorted and unique.
+  using Notes = std::map<std::tuple<std::string, std::string, std::string, int>, v1::Note>;  // Sorted and unique.
+  Notes notes_;
+  Notes task_notes_;               // Those that tasks reported, which depend on the job alone.
+  std::optional<v1::Note> empty_;  // What EXPORT says of a mosaic that nothing covers.
   std::uint64_t peak_memory_bytes_ = 0;
   std::uint32_t retries_ = 0;
 };

@@ -137,7 +137,7 @@ void Scheduler::Unfold(JobNumber number, Result<std::vector<PlannedTask>> planne
   if (!planned.ok()) return FailJob(number, planned.status());
   for (const PlannedTask& task : *planned) Want(number, task, completions);
   const JobGraph& graph = *jobs_.at(number).graph;
-  if (graph.done()) EndJob(number, graph.holes().empty() ? v1::JOB_DONE : v1::JOB_DONE_IN_PART, {});
+  if (graph.done()) EndJob(number, graph.in_part() ? v1::JOB_DONE_IN_PART : v1::JOB_DONE, {});
 }
 
 void Scheduler::CompareResults(TaskIndex index, std::uint32_t attempt, const Finished& kept, const v1::TaskResult& result) {

@@ -23,6 +23,20 @@ double SensorGsd(std::span<const Homography> world_from_sensor, int width_px, in
   return *middle;
 }
 
+namespace {
+
+Status CheckMeets(const std::array<double, 4>& box, const char* what, const Eigen::Vector2d& low, const Eigen::Vector2d& high) {
+  const auto& [x_min, y_min, x_max, y_max] = box;
+  if (low.x() <= x_max && high.x() >= x_min && low.y() <= y_max && high.y() >= y_min) return {};
+  std::ostringstream message;
+  message.precision(12);
+  message << what << " " << x_min << "," << y_min << "," << x_max << "," << y_max << " does not meet what was seen, " << low.x() << ","
+          << low.y() << "," << high.x() << "," << high.y() << "; expected x_min,y_min,x_max,y_max in coordinates of the mosaic's CRS";
+  return InvalidInput(message.str());
+}
+
+}  // namespace
+
 Result<MosaicGrid> ChooseGrid(std::span<const SceneFootprint> footprints, double sensor_gsd, int ratio, const GridOptions& options) {
   TREM_CHECK(!footprints.empty());
   MosaicGrid grid;
@@ -36,6 +50,18 @@ Result<MosaicGrid> ChooseGrid(std::span<const SceneFootprint> footprints, double
       low = low.cwiseMin(corner);
       high = high.cwiseMax(corner);
     }
+  }
+  if (options.bounds) TREM_RETURN_IF_ERROR(CheckMeets(*options.bounds, "mosaic.bounds", low, high));
+  if (options.clip) TREM_RETURN_IF_ERROR(CheckMeets(*options.clip, "mosaic.cutline_path: the rectangle", low, high));
+  if (options.bounds) {
+    const auto& [x_min, y_min, x_max, y_max] = *options.bounds;
+    // Half a pixel in: pixels are areas, and the grid counts their centres.
+    low = {x_min + 0.5 * grid.gsd, y_min + 0.5 * grid.gsd};
+    high = Eigen::Vector2d(x_max - 0.5 * grid.gsd, y_max - 0.5 * grid.gsd).cwiseMax(low);
+  } else if (options.clip) {
+    const auto& [x_min, y_min, x_max, y_max] = *options.clip;
+    low = low.cwiseMax(Eigen::Vector2d(x_min, y_min));
+    high = high.cwiseMin(Eigen::Vector2d(x_max, y_max));
   }
   const double column_first = std::floor(low.x() / grid.gsd);
   const double column_last = std::ceil(high.x() / grid.gsd);

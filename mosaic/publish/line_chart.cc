@@ -131,6 +131,12 @@ class Plot {
 
 }  // namespace
 
+bool HasValue(const LineChart& chart) {
+  return std::any_of(chart.lines.begin(), chart.lines.end(), [](const ChartLine& line) {
+    return std::any_of(line.y.begin(), line.y.end(), [](double y) { return std::isfinite(y); });
+  });
+}
+
 Result<std::string> LineChartPng(const LineChart& chart) {
   TREM_CHECK(chart.width >= 320 && chart.height >= 200 && chart.lines.size() <= std::size(kColours));
   double x_low = HUGE_VAL, x_high = -HUGE_VAL, y_low = HUGE_VAL, y_high = -HUGE_VAL;

@@ -23,6 +23,9 @@ struct LineChart {
   int height = 300;
 };
 
+// Whether any line has a finite value.
+bool HasValue(const LineChart& chart);
+
 // An 8-bit RGB PNG: white ground, axes with round numbers that hold all finite values, a legend. The bytes depend on the chart only.
 // kInvalidInput when no line has a finite value.
 Result<std::string> LineChartPng(const LineChart& chart);

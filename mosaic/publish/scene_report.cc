@@ -18,12 +18,6 @@ std::string Img(const std::string& title, const std::string& png, const char* st
   return fmt::format("<img alt=\"{}\" style=\"{}\" src=\"data:image/png;base64,{}\">\n", HtmlEscaped(title), style, Base64(png));
 }
 
-bool HasValue(const LineChart& chart) {
-  return std::any_of(chart.lines.begin(), chart.lines.end(), [](const ChartLine& line) {
-    return std::any_of(line.y.begin(), line.y.end(), [](double y) { return std::isfinite(y); });
-  });
-}
-
 std::string Figure(const ScenePicture& shown) {
   std::string html = "<figure>" + Img(shown.title, shown.picture.png, "width:100%;image-rendering:pixelated") + "<figcaption>" + HtmlEscaped(shown.title);
   if (!shown.unit.empty()) {

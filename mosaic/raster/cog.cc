@@ -32,6 +32,19 @@ class Remover {
 
 const char* Predictor(const CogSpec& spec) { return spec.type == CogSpec::Type::kFloat32 ? "3" : "2"; }
 
+GDALDataType TypeOf(const CogSpec& spec) {
+  switch (spec.type) {
+    case CogSpec::Type::kInt32:
+      return GDT_Int32;
+    case CogSpec::Type::kUint8:
+      return GDT_Byte;
+    case CogSpec::Type::kUint16:
+      return GDT_UInt16;
+    default:
+      return GDT_Float32;
+  }
+}
+
 Result<GdalDatasetPtr> CreateTemporary(const std::filesystem::path& path, const CogSpec& spec, const GdalErrors& errors) {
   CPLStringList options;
   for (const char* option : {"TILED=YES", "BLOCKXSIZE=256", "BLOCKYSIZE=256", "COMPRESS=DEFLATE", "ZLEVEL=1", "INTERLEAVE=PIXEL",
@@ -41,8 +54,8 @@ Result<GdalDatasetPtr> CreateTemporary(const std::filesystem::path& path, const 
   options.SetNameValue("PREDICTOR", Predictor(spec));
   GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
   TREM_CHECK(driver != nullptr);
-  GdalDatasetPtr dataset(driver->Create(path.c_str(), spec.grid.width, spec.grid.height, static_cast<int>(spec.bands.size()),
-                                        spec.type == CogSpec::Type::kFloat32 ? GDT_Float32 : GDT_Int32, options.List()));
+  GdalDatasetPtr dataset(
+      driver->Create(path.c_str(), spec.grid.width, spec.grid.height, static_cast<int>(spec.bands.size()), TypeOf(spec), options.List()));
   if (!dataset) return errors.WriteStatus("cannot create", path);
   TREM_RETURN_IF_ERROR(SetGeoreference(spec.grid, dataset.get()));
   for (const auto& [key, value] : spec.metadata) dataset->SetMetadataItem(key.c_str(), value.c_str());
@@ -101,10 +114,13 @@ Status CopyToCog(const std::filesystem::path& tiles, const std::filesystem::path
   GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("COG");
   if (driver == nullptr) return Failed("this GDAL has no COG driver; version 3.1 or newer is needed");
   CPLStringList options;
-  for (const char* option : {"COMPRESS=DEFLATE", "LEVEL=6", "BLOCKSIZE=512", "BIGTIFF=IF_SAFER", "OVERVIEWS=IGNORE_EXISTING",
-                             "OVERVIEW_COMPRESS=DEFLATE", "NUM_THREADS=1"}) {
+  for (const char* option : {"BLOCKSIZE=512", "BIGTIFF=IF_SAFER", "OVERVIEWS=IGNORE_EXISTING", "NUM_THREADS=1"}) {
     options.AddString(option);
   }
+  const bool zstd = spec.compression == CogSpec::Compression::kZstd;
+  options.SetNameValue("COMPRESS", zstd ? "ZSTD" : "DEFLATE");
+  options.SetNameValue("OVERVIEW_COMPRESS", zstd ? "ZSTD" : "DEFLATE");
+  options.SetNameValue("LEVEL", zstd ? "9" : "6");
   options.SetNameValue("PREDICTOR", Predictor(spec));
   options.SetNameValue("OVERVIEW_PREDICTOR", Predictor(spec));
   options.SetNameValue("OVERVIEW_RESAMPLING", spec.overviews == CogSpec::Overviews::kAverage ? "AVERAGE" : "NEAREST");

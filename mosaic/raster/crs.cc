@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <numbers>
 #include <utility>
 
@@ -73,6 +74,28 @@ int UtmEpsg(double latitude_deg, double longitude_deg) {
 Result<std::string> CrsWkt(const std::string& crs) {
   TREM_ASSIGN_OR_RETURN(const OGRSpatialReference reference, ParseCrs(crs));
   return ExportWkt(reference);
+}
+
+std::optional<int> EpsgOf(const std::string& crs_wkt) {
+  const QuietGdal quiet;
+  OGRSpatialReference reference;
+  if (reference.importFromWkt(crs_wkt.c_str()) != OGRERR_NONE) return std::nullopt;
+  const char* const authority = reference.GetAuthorityName(nullptr);
+  const char* const code = reference.GetAuthorityCode(nullptr);
+  if (authority == nullptr || code == nullptr || std::string(authority) != "EPSG") return std::nullopt;
+  return std::atoi(code);
+}
+
+std::string Wkt2(const std::string& crs_wkt) {
+  const QuietGdal quiet;
+  OGRSpatialReference reference;
+  if (reference.importFromWkt(crs_wkt.c_str()) != OGRERR_NONE) return "";
+  const char* const options[] = {"FORMAT=WKT2_2019", "MULTILINE=NO", nullptr};
+  char* text = nullptr;
+  const bool done = reference.exportToWkt(&text, options) == OGRERR_NONE && text != nullptr;
+  std::string wkt = done ? text : "";
+  CPLFree(text);
+  return wkt;
 }
 
 std::string LocalPixelCrsWkt() { return R"(LOCAL_CS["local, sensor pixels",UNIT["pixel",1],AXIS["X",EAST],AXIS["Y",NORTH]])"; }

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "mosaic/base/status.h"
@@ -18,6 +19,11 @@ int UtmEpsg(double latitude_deg, double longitude_deg);
 // WKT of a CRS given as anything GDAL understands without reading files or the network ("EPSG:32630", WKT, PROJ string).
 // kInvalidInput that names `crs` when it is unknown.
 Result<std::string> CrsWkt(const std::string& crs);
+
+// The EPSG code that a WKT names as its own; none when it names none.
+std::optional<int> EpsgOf(const std::string& crs_wkt);
+// The same CRS as WKT 2 (ISO 19162:2019), on one line; empty when the WKT is not valid.
+std::string Wkt2(const std::string& crs_wkt);
 
 // An engineering CRS named "local, sensor pixels": what a mosaic without telemetry lies in. Unit: one sensor pixel.
 std::string LocalPixelCrsWkt();

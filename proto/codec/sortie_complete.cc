@@ -177,6 +177,18 @@ void CompleteWindows(v1::Windows* windows, RangeChecker* check) {
   }
 }
 
+void CompleteBounds(const v1::Bounds& bounds, RangeChecker* check) {
+  constexpr double kFar = 1e9;
+  check->Number("mosaic.bounds.x_min", bounds.x_min(), -kFar, kFar);
+  check->Number("mosaic.bounds.y_min", bounds.y_min(), -kFar, kFar);
+  check->Number("mosaic.bounds.x_max", bounds.x_max(), -kFar, kFar);
+  check->Number("mosaic.bounds.y_max", bounds.y_max(), -kFar, kFar);
+  if (!(bounds.x_min() < bounds.x_max()) || !(bounds.y_min() < bounds.y_max())) {
+    check->Refuse("mosaic.bounds", fmt::format("{},{},{},{}", bounds.x_min(), bounds.y_min(), bounds.x_max(), bounds.y_max()),
+                  "x_min < x_max and y_min < y_max, in coordinates of the mosaic's CRS");
+  }
+}
+
 void CompleteMosaic(v1::Mosaic* mosaic, RangeChecker* check) {
   if (mosaic->gsd() != 0.0) check->Number("mosaic.gsd", mosaic->gsd(), 1e-4, 1e4);
   check->Text("mosaic.crs", mosaic->crs(), 4096);
@@ -184,6 +196,14 @@ void CompleteMosaic(v1::Mosaic* mosaic, RangeChecker* check) {
   if (mosaic->tile_px() < 64 || mosaic->tile_px() > 4096 || mosaic->tile_px() % 16 != 0) {
     check->Refuse("mosaic.tile_px", fmt::format("{}", mosaic->tile_px()), "a multiple of 16 from 64 to 4096");
   }
+  check->Enum("mosaic.estimator", mosaic->estimator(), v1::MosaicEstimator_IsValid(mosaic->estimator()));
+  if (mosaic->estimator() == v1::ESTIMATOR_AUTO) mosaic->set_estimator(v1::WEIGHTED_MEDIAN);
+  check->Enum("mosaic.compression", mosaic->compression(), v1::Compression_IsValid(mosaic->compression()));
+  if (mosaic->compression() == v1::COMPRESSION_AUTO) mosaic->set_compression(v1::DEFLATE);
+  check->Enum("mosaic.pixel_type", mosaic->pixel_type(), v1::PixelType_IsValid(mosaic->pixel_type()));
+  if (mosaic->pixel_type() == v1::PIXEL_TYPE_AUTO) mosaic->set_pixel_type(v1::FLOAT32);
+  if (mosaic->has_bounds()) CompleteBounds(mosaic->bounds(), check);
+  check->Text("mosaic.cutline_path", mosaic->cutline_path(), 4096);
 }
 
 }  // namespace

@@ -50,6 +50,7 @@ void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
   if (!sensor->psf_kernel_path().empty()) sensor->set_psf_kernel_path(Absolute(sensor->psf_kernel_path(), base));
   if (!sensor->bad_pixel_path().empty()) sensor->set_bad_pixel_path(Absolute(sensor->bad_pixel_path(), base));
   if (!sensor->mask_path().empty()) sensor->set_mask_path(Absolute(sensor->mask_path(), base));
+  if (!sortie->mosaic().cutline_path().empty()) sortie->mutable_mosaic()->set_cutline_path(Absolute(sortie->mosaic().cutline_path(), base));
 }
 
 // Ok when `path` is there: something readable, or a glob that matches something.
@@ -107,6 +108,9 @@ Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std
     TREM_RETURN_IF_ERROR(CheckThere("telemetry.dem_path: ", sortie.telemetry().dem_path(), "an elevation model"));
   }
   TREM_RETURN_IF_ERROR(CheckSensorFiles(sortie.sensor()));
+  if (!sortie.mosaic().cutline_path().empty()) {
+    TREM_RETURN_IF_ERROR(CheckThere("mosaic.cutline_path: ", sortie.mosaic().cutline_path(), "polygons as GeoJSON or GeoPackage"));
+  }
   return sortie;
 }
 

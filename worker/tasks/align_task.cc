@@ -1,16 +1,21 @@
 // ALIGN: every window's chains and scenes, and telemetry -> alignment.pb, where every scene lies on the mosaic.
 #include <algorithm>
+#include <array>
 #include <opencv2/core.hpp>
+#include <set>
 #include <string>
 #include <vector>
 
 #include "mosaic/align/align.h"
 #include "mosaic/align/output_grid.h"
+#include "mosaic/composite/tile_compositor.h"
 #include "mosaic/raster/crs.h"
 #include "mosaic/raster/scene_raster.h"
 #include "proto/codec/convert.h"
 #include "worker/tasks/align_input.h"
 #include "worker/tasks/align_notes.h"
+#include "worker/tasks/aligned_scenes.h"
+#include "worker/tasks/cutline_message.h"
 #include "worker/tasks/task.h"
 #include "worker/tasks/task_inputs.h"
 
@@ -50,8 +55,29 @@ align::FeatureSource FeaturesFromStore(const ArtefactStore& store, const AlignTa
   };
 }
 
+// The sortie's cutline in the mosaic's CRS; without rings when it has none.
+Result<PolygonRings> CutlineOf(const v1::SortieManifest& manifest, const AlignTaskInput& input, bool georeferenced) {
+  PolygonRings polygons;
+  if (manifest.cutline().rings().empty()) return polygons;
+  if (!georeferenced) return InvalidInput("mosaic.cutline_path needs telemetry that places the mosaic; leave it out, or give telemetry");
+  polygons = PolygonsFromProto(manifest.cutline());
+  TREM_ASSIGN_OR_RETURN(polygons, Reproject(polygons, input.crs_wkt));
+  return polygons;
+}
+
+std::array<double, 4> RectangleOf(const PolygonRings& polygons) {
+  Eigen::Vector2d low = polygons.rings[0][0], high = low;
+  for (const std::vector<Eigen::Vector2d>& ring : polygons.rings) {
+    for (const Eigen::Vector2d& point : ring) {
+      low = low.cwiseMin(point);
+      high = high.cwiseMax(point);
+    }
+  }
+  return {low.x(), low.y(), high.x(), high.y()};
+}
+
 Result<MosaicGrid> GridOf(const v1::Sortie& sortie, const AlignTaskInput& input, const align::AlignSolution& solution,
-                          const Homography& map_from_world) {
+                          const Homography& map_from_world, const PolygonRings& cutline) {
   std::vector<align::SceneFootprint> footprints;
   for (const align::AlignedScene& scene : solution.scenes) {
     align::SceneFootprint footprint{scene.window_id, scene.scene_id, align::RoiCorners(scene.roi_in_scene)};
@@ -66,6 +92,11 @@ Result<MosaicGrid> GridOf(const v1::Sortie& sortie, const AlignTaskInput& input,
   align::GridOptions options;
   options.crs_wkt = solution.georeferenced ? input.crs_wkt : LocalPixelCrsWkt();
   options.gsd = sortie.mosaic().gsd();
+  if (sortie.mosaic().has_bounds()) {
+    const v1::Bounds& bounds = sortie.mosaic().bounds();
+    options.bounds = {{bounds.x_min(), bounds.y_min(), bounds.x_max(), bounds.y_max()}};
+  }
+  if (!cutline.rings.empty()) options.clip = RectangleOf(cutline);
   if (sortie.mosaic().tile_px() > 0) options.tile_size = static_cast<int>(sortie.mosaic().tile_px());
   return align::ChooseGrid(footprints, align::SensorGsd(frames, input.align.width_px, input.align.height_px), input.align.ratio, options);
 }
@@ -102,6 +133,22 @@ v1::Alignment ToMessage(const align::AlignSolution& solution, const MosaicGrid& 
   return alignment;
 }
 
+// What the COMPOSITE task of each tile has to read.
+Status AddTileInputs(const MosaicGrid& grid, const v1::Alignment& alignment, const std::vector<v1::WindowResult>& windows,
+                     v1::AlignSummary* summary) {
+  EmittedScenes emitted;
+  for (const v1::WindowResult& window : windows) TREM_RETURN_IF_ERROR(AddEmittedScenes(window, &emitted));
+  std::vector<ArtefactRef> rasters;
+  TREM_ASSIGN_OR_RETURN(const std::vector<CompositeScene> scenes, PlacedScenes(alignment, emitted, &rasters));
+  TREM_ASSIGN_OR_RETURN(const std::vector<std::vector<std::size_t>> tiles, ScenesByTile(grid, scenes));
+  for (const std::vector<std::size_t>& tile : tiles) {
+    std::set<std::uint32_t> window_ids;
+    for (const std::size_t index : tile) window_ids.insert(scenes[index].window_id);
+    summary->add_tiles()->mutable_window_ids()->Add(window_ids.begin(), window_ids.end());
+  }
+  return {};
+}
+
 }  // namespace
 
 Result<v1::TaskResult> RunAlignTask(const v1::TaskSpec& spec, const TaskContext& context) {
@@ -117,8 +164,12 @@ Result<v1::TaskResult> RunAlignTask(const v1::TaskSpec& spec, const TaskContext&
   if (!solved.ok()) return solved.status();
   const align::AlignSolution& solution = *solved;
   const Homography map_from_world = solution.georeferenced ? input.map_from_working : Homography{};
-  TREM_ASSIGN_OR_RETURN(const MosaicGrid grid, GridOf(spec.sortie(), input, solution, map_from_world));
+  TREM_ASSIGN_OR_RETURN(PolygonRings cutline, CutlineOf(manifest, input, solution.georeferenced));
+  TREM_ASSIGN_OR_RETURN(const MosaicGrid grid, GridOf(spec.sortie(), input, solution, map_from_world, cutline));
   v1::Alignment alignment = ToMessage(solution, grid, map_from_world, solution.georeferenced ? input.scale : 1.0);
+
+  cutline.crs_wkt.clear();
+  if (!cutline.rings.empty()) ToProto(cutline, alignment.mutable_cutline());
 
   v1::TaskResult result;
   for (const v1::Note& note : AlignNotes(spec.sortie(), manifest, census, input, solution)) {
@@ -129,6 +180,7 @@ Result<v1::TaskResult> RunAlignTask(const v1::TaskSpec& spec, const TaskContext&
   result.mutable_align()->set_tile_count(static_cast<std::uint32_t>(grid.tile_count()));
   result.mutable_align()->set_width_px(static_cast<std::uint32_t>(grid.width));
   result.mutable_align()->set_height_px(static_cast<std::uint32_t>(grid.height));
+  TREM_RETURN_IF_ERROR(AddTileInputs(grid, alignment, windows, result.mutable_align()));
   return result;
 }
 

@@ -2,9 +2,12 @@
 
 #include <fmt/format.h>
 
+#include "mosaic/raster/crs.h"
+#include "mosaic/raster/polygons.h"
 #include "worker/sensor/resolution.h"
 #include "worker/sortie/frame_source.h"
 #include "worker/sortie/ingest.h"
+#include "worker/tasks/cutline_message.h"
 #include "worker/tasks/estimate_sensor.h"
 #include "worker/tasks/sensor_of.h"
 
@@ -44,6 +47,18 @@ void AddCeiling(const v1::Sortie& sortie, v1::SortieManifest* manifest) {
   *manifest->add_notes() = MakeNote(v1::INFO, "resolution_ceiling", sortie.source().path(), text + ")");
 }
 
+// What is wrong with the mosaic that is asked for is said before anything is computed.
+Result<PolygonRings> CheckMosaic(const v1::Mosaic& mosaic) {
+  if (!mosaic.crs().empty()) TREM_RETURN_IF_ERROR(UtmFrame::ForCrs(mosaic.crs()).status().WithPrefix("mosaic.crs"));
+  PolygonRings cutline;
+  if (!mosaic.cutline_path().empty()) {
+    Result<PolygonRings> read = ReadPolygons(mosaic.cutline_path());
+    if (!read.ok()) return read.status().WithPrefix("mosaic.cutline_path");
+    cutline = std::move(*read);
+  }
+  return cutline;
+}
+
 }  // namespace
 
 Result<v1::SortieManifest> DescribeSortie(const v1::Sortie& sortie, const std::function<bool(double fraction)>& progress) {
@@ -52,10 +67,12 @@ Result<v1::SortieManifest> DescribeSortie(const v1::Sortie& sortie, const std::f
   if (measured) {
     TREM_ASSIGN_OR_RETURN(kernel, ReadPsfKernel(sortie.sensor().psf_kernel_path()));
   }
+  TREM_ASSIGN_OR_RETURN(const PolygonRings cutline, CheckMosaic(sortie.mosaic()));
   const auto part = [&progress](double from, double to) {
     return [&progress, from, to](double fraction) { return !progress || progress(from + (to - from) * fraction); };
   };
   TREM_ASSIGN_OR_RETURN(v1::SortieManifest manifest, IngestSortie(sortie, part(0.0, kReadingPart)));
+  if (!cutline.rings.empty()) ToProto(cutline, manifest.mutable_cutline());
   if (measured) AddKernel(kernel, sortie.sensor().psf_kernel_path(), &manifest);
   TREM_RETURN_IF_ERROR(EstimateSensor(sortie, part(kReadingPart, 1.0), &manifest));
   AddCeiling(sortie, &manifest);

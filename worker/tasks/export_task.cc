@@ -13,12 +13,16 @@
 #include <vector>
 
 #include "mosaic/base/version.h"
+#include "mosaic/publish/detail_finder.h"
 #include "mosaic/publish/picture.h"
 #include "mosaic/publish/report.h"
 #include "mosaic/raster/cog.h"
 #include "mosaic/raster/georeference.h"
 #include "proto/codec/convert.h"
+#include "worker/tasks/baseline.h"
 #include "worker/tasks/export_frames.h"
+#include "worker/tasks/export_report.h"
+#include "worker/tasks/export_stac.h"
 #include "worker/tasks/task.h"
 #include "worker/tasks/task_inputs.h"
 #include "worker/tasks/tile_raster.h"
@@ -29,18 +33,35 @@ namespace {
 constexpr int kPreviewSideMax = 2048;
 constexpr int kReportPreviewSideMax = 1200;
 constexpr int kReportPictureSideMax = 640;
+constexpr int kCropsMax = 3;
+// Side of the report's enlarged crops, sensor pixels.
+constexpr int kCropSidePx = 40;
+constexpr std::uint32_t kDefaultRatio = 3;
 
 // Pictures and figures that are gathered while the tiles stream by.
 struct Pictures {
-  explicit Pictures(const MosaicGrid& grid)
-      : preview(grid.width, grid.height, kPreviewSideMax),
+  Pictures(const MosaicGrid& grid, int crop_side)
+      : detail(crop_side),
+        preview(grid.width, grid.height, kPreviewSideMax),
         report_preview(grid.width, grid.height, kReportPreviewSideMax),
         count(grid.width, grid.height, kReportPictureSideMax),
         nmad(grid.width, grid.height, kReportPictureSideMax),
         sigma(grid.width, grid.height, kReportPictureSideMax) {}
+  DetailFinder detail;
   Reduction preview, report_preview, count, nmad, sigma;
   long long covered = 0;
 };
+
+std::string EstimatorText(v1::MosaicEstimator estimator) {
+  switch (estimator) {
+    case v1::MEDIAN:
+      return "median of the scenes";
+    case v1::BIWEIGHT:
+      return "biweight of the scenes";
+    default:
+      return "weighted median of the scenes";
+  }
+}
 
 class Exporter {
  public:
@@ -54,13 +75,22 @@ class Exporter {
   Status WriteMosaic();
   Status WriteQuality();
   Status WriteSource();
+  Status WritePreview();
   Status WriteReport();
+  Status WriteStacItem();
+  // The report's crops, and mosaic_baseline.tif when it is asked for.
+  Status AddCrops();
+  Result<Image<float>> ReadMosaic(const Roi& roi) const;
   Status PutFile(const std::string& name, const std::filesystem::path& temporary);
+  void AddNote(const std::string& code, const std::string& message, bool hole);
   Status PutBytes(const std::string& name, const std::string& bytes);
   Result<std::vector<Image<float>>> ReadTile(int index, const std::vector<TilePlane>& planes) const;
   // Metadata of every raster.
   std::map<std::string, std::string> Metadata() const;
   CogSpec Spec() const;
+  int ratio() const { return static_cast<int>(spec_.sortie().tre().ratio() > 0 ? spec_.sortie().tre().ratio() : kDefaultRatio); }
+  // The integer type of mosaic.tif when it is to be the source's; kFloat32 otherwise.
+  CogSpec::Type MosaicType() const;
   // Progress of a step that takes the task from `begin` to `end`.
   std::function<bool(double)> Step(double begin, double end) const {
     return [this, begin, end](double fraction) { return context_.progress(begin + (end - begin) * fraction); };
@@ -144,7 +174,14 @@ CogSpec Exporter::Spec() const {
   cog.grid = grid_;
   cog.metadata = Metadata();
   cog.nodata = std::numeric_limits<double>::quiet_NaN();
+  if (spec_.sortie().mosaic().compression() == v1::ZSTD) cog.compression = CogSpec::Compression::kZstd;
   return cog;
+}
+
+CogSpec::Type Exporter::MosaicType() const {
+  if (spec_.sortie().mosaic().pixel_type() != v1::SOURCE_TYPE) return CogSpec::Type::kFloat32;
+  if (manifest_.grey_max() == 255.0) return CogSpec::Type::kUint8;
+  return manifest_.grey_max() == 65535.0 ? CogSpec::Type::kUint16 : CogSpec::Type::kFloat32;
 }
 
 Status Exporter::WriteFrames() {
@@ -156,12 +193,22 @@ Status Exporter::WriteFrames() {
   TREM_ASSIGN_OR_RETURN(const std::vector<SceneFootprint> footprints, ledger.Footprints());
   const std::filesystem::path geojson = store_.NewTemporaryPath(".geojson");
   TREM_RETURN_IF_ERROR(WriteWindowsGeoJson(geojson, footprints, grid_.crs_wkt, alignment_.georeferenced()));
+  TREM_RETURN_IF_ERROR(FillReportMap(manifest_, alignment_, grid_, footprints, &report_));
+  TREM_RETURN_IF_ERROR(FillReportCharts(manifest_, alignment_, grid_, ratio(), &report_));
   return PutFile("mosaic_windows.geojson", geojson);
+}
+
+// 0 is what nothing covers; what is covered is at least 1.
+void RoundToInteger(float grey_max, Image<float>* plane) {
+  for (float& value : plane->pixels()) value = std::isfinite(value) ? std::clamp(std::round(value), 1.0f, grey_max) : 0.0f;
 }
 
 Status Exporter::WriteMosaic() {
   CogSpec cog = Spec();
-  cog.bands = {"median intensity [grey levels of the source]"};
+  cog.bands = {report_.estimator + " [grey levels of the source]"};
+  cog.type = MosaicType();
+  const bool integer = cog.type != CogSpec::Type::kFloat32;
+  if (integer) cog.nodata = 0.0;
   const float scale = static_cast<float>(manifest_.grey_scale()), offset = static_cast<float>(manifest_.grey_offset());
   const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
     if (const auto& tile = tiles_[static_cast<std::size_t>(index)]) TREM_RETURN_IF_ERROR(store_.Verify(*tile));
@@ -169,10 +216,12 @@ Status Exporter::WriteMosaic() {
     for (float& value : planes[0].pixels()) value = offset + scale * value;
     pictures_->preview.Add(grid_.TileRoi(index), planes[0]);
     pictures_->report_preview.Add(grid_.TileRoi(index), planes[0]);
+    pictures_->detail.Add(grid_.TileRoi(index), planes[0]);
+    if (integer) RoundToInteger(static_cast<float>(manifest_.grey_max()), &planes[0]);
     return planes;
   };
   const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.1, 0.4)));
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.1, 0.35)));
   return PutFile("mosaic.tif", path);
 }
 
@@ -200,7 +249,7 @@ Status Exporter::WriteQuality() {
     return planes;
   };
   const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.4, 0.75)));
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.35, 0.6)));
   return PutFile("mosaic_quality.tif", path);
 }
 
@@ -212,7 +261,7 @@ Status Exporter::WriteSource() {
   cog.nodata = static_cast<double>(kNoSource);
   const CogTileReader reader = [&](int index) { return ReadTile(index, {TilePlane::kSource}); };
   const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.75, 0.9)));
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.6, 0.7)));
   return PutFile("mosaic_source.tif", path);
 }
 
@@ -224,7 +273,7 @@ double MiddleValue(const Image<float>& picture) {
   return std::numeric_limits<double>::quiet_NaN();
 }
 
-Status Exporter::WriteReport() {
+Status Exporter::WritePreview() {
   const Image<float> preview = pictures_->preview.Picture();
   const ValueRange stretch = QuantileRange(preview, 0.005, 0.995);
   TREM_ASSIGN_OR_RETURN(const std::string preview_png, GreyPng(preview, stretch));
@@ -238,14 +287,95 @@ Status Exporter::WriteReport() {
   report_.preview.range = stretch;
   report_.count.range = {0.0, QuantileRange(count, 0.0, 1.0).high};
   report_.nmad.range = {0.0, QuantileRange(nmad, 0.0, 0.98).high};
+  report_.sigma.range = QuantileRange(sigma, 0.0, 0.98);
+  report_.grey_range = stretch.high - stretch.low;
   TREM_ASSIGN_OR_RETURN(report_.preview.png, GreyPng(pictures_->report_preview.Picture(), stretch));
   TREM_ASSIGN_OR_RETURN(report_.count.png, ColourPng(count, report_.count.range));
   TREM_ASSIGN_OR_RETURN(report_.nmad.png, ColourPng(nmad, report_.nmad.range));
-  for (const auto* notes : {&spec_.export_params().holes(), &manifest_.notes(), &alignment_.notes()}) {
-    for (const v1::Note& note : *notes)
-      report_.notes.push_back({note.severity() == v1::WARNING, note.code(), note.subject(), note.message()});
+  TREM_ASSIGN_OR_RETURN(report_.sigma.png, ColourPng(sigma, report_.sigma.range));
+  return {};
+}
+
+Result<Image<float>> Exporter::ReadMosaic(const Roi& roi) const {
+  Image<float> pixels(roi.width(), roi.height(), std::numeric_limits<float>::quiet_NaN());
+  const auto scale = static_cast<float>(manifest_.grey_scale()), offset = static_cast<float>(manifest_.grey_offset());
+  for (int index = 0; index < grid_.tile_count(); ++index) {
+    const Roi tile = grid_.TileRoi(index), part = Intersect(tile, roi);
+    if (part.empty()) continue;
+    TREM_ASSIGN_OR_RETURN(const std::vector<Image<float>> planes, ReadTile(index, {TilePlane::kMedian}));
+    for (int y = part.y0; y < part.y1; ++y) {
+      for (int x = part.x0; x < part.x1; ++x) pixels.at(x - roi.x0, y - roi.y0) = offset + scale * planes[0].at(x - tile.x0, y - tile.y0);
+    }
   }
-  return PutBytes("mosaic_report.html", RenderReport(report_));
+  return pixels;
+}
+
+Status Exporter::AddCrops() {
+  const MosaicGrid sensor_grid = SensorGrid(grid_, ratio());
+  const std::vector<Roi> places = pictures_->detail.Best(kCropsMax);
+  const bool whole = spec_.sortie().mosaic().baseline();
+  if (places.empty() && !whole) return {};
+  TREM_ASSIGN_OR_RETURN(const std::vector<FramePlacement> chain, ChainPlacements(manifest_, alignment_));
+  FrameMosaic baseline(manifest_, store_, ThinnedOut(chain, manifest_));
+  std::vector<Roi> wanted;
+  if (whole) wanted.push_back({0, 0, sensor_grid.width, sensor_grid.height});
+  for (const Roi& place : places) wanted.push_back(SensorRoi(grid_, place, sensor_grid));
+  // The source may be gone or damaged by now: the mosaic does not depend on it any more.
+  const Status read = baseline.Read(sensor_grid, wanted, Step(0.7, 0.8));
+  if (read.code() == StatusCode::kCancelled || read.code() == StatusCode::kExhausted) return read;
+  Result<std::vector<ReportCrop>> crops = read.ok() ? MakeCrops(
+                                                          manifest_, alignment_, grid_, sensor_grid, places,
+                                                          [this](const Roi& roi) { return ReadMosaic(roi); }, baseline, Step(0.8, 0.85))
+                                                    : Result<std::vector<ReportCrop>>(read);
+  if (!crops.ok()) {
+    if (crops.status().code() == StatusCode::kCancelled) return crops.status();
+    AddNote("comparison_left_out", "the report compares nothing: " + crops.status().message(), false);
+    return {};
+  }
+  report_.crops = std::move(*crops);
+  if (!whole) return {};
+  CogSpec cog = Spec();
+  cog.grid = sensor_grid;
+  cog.bands = {"median of frames placed by image motion [grey levels of the source]"};
+  const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
+    TREM_ASSIGN_OR_RETURN(CompositeTile tile, baseline.Compose(sensor_grid, sensor_grid.TileRoi(index), [](double) { return true; }));
+    std::vector<Image<float>> planes;
+    planes.push_back(std::move(tile.median));
+    return planes;
+  };
+  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
+  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.85, 0.95)));
+  report_.baseline_written = true;
+  return PutFile("mosaic_baseline.tif", path);
+}
+
+void Exporter::AddNote(const std::string& code, const std::string& message, bool hole) {
+  v1::Note* note = result_.add_notes();
+  note->set_code(code);
+  note->set_subject(report_.sortie);
+  note->set_message(message);
+  note->set_severity(v1::WARNING);
+  note->set_hole(hole);
+}
+
+Status Exporter::WriteReport() {
+  // Of every task of the job; what manifest and alignment say is among them.
+  for (const auto* notes : {&spec_.export_params().holes(), &spec_.export_params().notes(), &result_.notes()}) {
+    for (const v1::Note& note : *notes) {
+      report_.notes.push_back({note.severity() == v1::WARNING, note.code(), note.subject(), note.message()});
+      report_.hole_count += note.hole() ? 1 : 0;
+    }
+  }
+  report_.hole_count += static_cast<std::uint32_t>(spec_.export_params().holes_size());
+  TREM_ASSIGN_OR_RETURN(const std::string html, RenderReport(report_));
+  return PutBytes("mosaic_report.html", html);
+}
+
+Status Exporter::WriteStacItem() {
+  const std::string type = MosaicType() == CogSpec::Type::kFloat32 ? "float32" : MosaicType() == CogSpec::Type::kUint8 ? "uint8" : "uint16";
+  StacSource source{manifest_, alignment_, grid_, SensorGrid(grid_, ratio()), report_, type};
+  TREM_ASSIGN_OR_RETURN(const std::string json, MakeStacItem(source, result_));
+  return PutBytes("mosaic.stac.json", json);
 }
 
 Result<v1::TaskResult> Exporter::Run() {
@@ -262,20 +392,20 @@ Result<v1::TaskResult> Exporter::Run() {
   report_.gsd = grid_.gsd;
   report_.piece_count = alignment_.piece_count();
   report_.tie_rms_px = alignment_.tie_rms_px();
-  pictures_.emplace(grid_);
+  report_.estimator = EstimatorText(spec_.sortie().mosaic().estimator());
+  pictures_.emplace(grid_, kCropSidePx * ratio());
   TREM_RETURN_IF_ERROR(WriteFrames());
   TREM_RETURN_IF_ERROR(WriteMosaic());
   TREM_RETURN_IF_ERROR(WriteQuality());
   TREM_RETURN_IF_ERROR(WriteSource());
-  TREM_RETURN_IF_ERROR(WriteReport());
-  if (!context_.progress(1.0)) return Cancelled("the export was stopped");
+  TREM_RETURN_IF_ERROR(WritePreview());
   if (pictures_->covered == 0) {
-    v1::Note* note = result_.add_notes();
-    note->set_code("mosaic_empty");
-    note->set_subject(report_.sortie);
-    note->set_message("no scene covers any pixel of the mosaic");
-    note->set_severity(v1::WARNING);
+    AddNote("mosaic_empty", "no scene covers any pixel of the mosaic; see mosaic.gsd, mosaic.bounds and mosaic.cutline_path", true);
   }
+  TREM_RETURN_IF_ERROR(AddCrops());
+  TREM_RETURN_IF_ERROR(WriteReport());
+  TREM_RETURN_IF_ERROR(WriteStacItem());
+  if (!context_.progress(1.0)) return Cancelled("the export was stopped");
   return result_;
 }
 

@@ -35,6 +35,11 @@ JobInputs MakeInputs() {
   inputs.window_pbs = {MakeRef("window.pb", "a"), MakeRef("window.pb", "b")};
   inputs.window_pb_bytes = 2;
   inputs.align.set_tile_count(3);
+  inputs.align.add_tiles()->add_window_ids(0);
+  inputs.align.add_tiles();
+  v1::TileInputs* both = inputs.align.add_tiles();
+  both->add_window_ids(0);
+  both->add_window_ids(1);
   inputs.alignment = MakeRef("alignment.pb", "alignment");
   inputs.tiles = {MakeRef("tile.tif", "t0"), MakeRef("tile.tif", "t1"), MakeRef("tile.tif", "t2")};
   return inputs;
@@ -56,6 +61,8 @@ TEST(TaskPlanTest, ListsInputsInTheOrderOfTheContract) {
   EXPECT_EQ(InputDigests(PlanTask(inputs, v1::INGEST, 0)), Digests{});
   EXPECT_EQ(InputDigests(PlanTask(inputs, v1::ENHANCE, 1)), Digests{manifest});
   EXPECT_EQ(InputDigests(PlanTask(inputs, v1::ALIGN, 0)), (Digests{manifest, a, b}));
+  EXPECT_EQ(InputDigests(PlanTask(inputs, v1::COMPOSITE, 0)), (Digests{alignment, a}));
+  EXPECT_EQ(InputDigests(PlanTask(inputs, v1::COMPOSITE, 1)), (Digests{alignment}));
   EXPECT_EQ(InputDigests(PlanTask(inputs, v1::COMPOSITE, 2)), (Digests{alignment, a, b}));
   EXPECT_EQ(InputDigests(PlanTask(inputs, v1::EXPORT, 0)),
             (Digests{alignment, manifest, a, b, inputs.tiles[0].sha256(), inputs.tiles[1].sha256(), inputs.tiles[2].sha256()}));
@@ -133,10 +140,12 @@ TEST(TaskPlanTest, ChangesTheKeysOfWhatReadsWindowsWhenOneOfThemChangesOrIsAHole
   for (const v1::TaskKind kind : {v1::ALIGN, v1::COMPOSITE, v1::EXPORT}) {
     std::set<std::string> keys;
     for (const JobInputs* job : std::initializer_list<const JobInputs*>{&inputs, &other, &hole, &swapped}) {
-      keys.insert(PlanTaskKey(*job, kind, 0).key);
+      keys.insert(PlanTaskKey(*job, kind, kind == v1::COMPOSITE ? 2 : 0).key);  // Both windows reach tile 2.
     }
     EXPECT_EQ(keys.size(), 4U) << v1::TaskKind_Name(kind);
   }
+  // Window 1 does not reach tile 0.
+  EXPECT_EQ(PlanTaskKey(inputs, v1::COMPOSITE, 0).key, PlanTaskKey(other, v1::COMPOSITE, 0).key);
 }
 
 TEST(TaskPlanTest, LeavesHolesOutAndNamesTheMissingTiles) {
@@ -180,6 +189,8 @@ TEST(TaskPlanTest, RefusesResultsThatLackWhatLaterStagesNeed) {
   result.mutable_align()->set_tile_count(0);
   EXPECT_FALSE(CheckTaskResult(v1::ALIGN, result).ok());
   result.mutable_align()->set_tile_count(1);
+  EXPECT_FALSE(CheckTaskResult(v1::ALIGN, result).ok());
+  result.mutable_align()->add_tiles();
   EXPECT_TRUE(CheckTaskResult(v1::ALIGN, result).ok());
 }
 

@@ -38,7 +38,13 @@ v1::TaskResult FakeResult(const v1::TaskSpec& spec, const std::string& source_co
     ingest->mutable_valid_roi()->set_y1(50);
     ingest->add_spans()->set_end(18);
   }
-  if (spec.kind() == v1::ALIGN) result.mutable_align()->set_tile_count(kFakeTileCount);
+  if (spec.kind() == v1::ALIGN) {
+    result.mutable_align()->set_tile_count(kFakeTileCount);
+    for (std::uint32_t tile = 0; tile < kFakeTileCount; ++tile) {
+      v1::TileInputs* inputs = result.mutable_align()->add_tiles();
+      for (std::uint32_t window = 0; window < kFakeWindowCount; ++window) inputs->add_window_ids(window);
+    }
+  }
   return result;
 }
 

@@ -65,7 +65,7 @@ TEST(Report, EscapesWhatComesFromOutside) {
   data.missing_frames.push_back({"<img src=x>", "lost", "<b>"});
   data.notes.push_back({true, "<code>", "<subject>", "<message>"});
   data.median_nmad = std::nan("");
-  const std::string html = RenderReport(data);
+  const std::string html = *RenderReport(data);
   for (const char* unwanted : {"<script", "<img src=x", "<b><", "<code>", "<subject>", "<message>"}) {
     EXPECT_EQ(html.find(unwanted), std::string::npos) << unwanted;
   }
