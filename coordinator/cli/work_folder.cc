@@ -97,6 +97,7 @@ Result<std::string> RunJobId(const v1::Sortie& sortie) {
   Sha256 digest;
   digest.Update(SerializeDeterministic(sortie));
   for (const fs::path& file : files) AddFingerprint(file, &digest);
+  if (!sortie.control().path().empty()) AddFingerprint(sortie.control().path(), &digest);
   if (!sortie.telemetry().path().empty()) {
     AddFingerprint(sortie.telemetry().path(), &digest);
   } else {

@@ -251,13 +251,28 @@ void CollectTies(const AlignGraph& graph, const AlignState& state, const SolveRe
   solution.horizon_frames.assign(horizon.begin(), horizon.end());
 }
 
+void CollectPairs(const AlignGraph& graph, const std::vector<ContentTie>& content, const SolveReport& report, AlignSolution& solution) {
+  for (std::size_t t = 0; t < report.content_tie_outlier.size(); ++t) {
+    if (!report.content_tie_outlier[t]) continue;
+    const SceneNode& a = graph.scenes[static_cast<std::size_t>(content[t].scene_a)];
+    const SceneNode& b = graph.scenes[static_cast<std::size_t>(content[t].scene_b)];
+    solution.outlier_pairs.push_back({a.window_id, a.scene.scene_id, b.window_id, b.scene.scene_id, report.content_error_px[t]});
+  }
+}
+
 std::string GaugeText(const AlignGraph& graph, const AlignOptions& options, const AlignState& state, const AlignSolution& solution) {
   std::ostringstream text;
   if (solution.georeferenced) {
     text << "telemetry: one shared error of position (sigma " << graph.input.position_sigma_m << " m) and attitude (sigma "
          << graph.input.attitude_sigma_rad * 57.29577951308232 << " deg), and a deviation of each frame from it (sigma "
          << std::max(options.position_white_min_m, options.position_white_fraction * graph.input.position_sigma_m)
-         << " m); the ground is the plane at elevation " << graph.input.ground_z_m << " m";
+         << " m); the ground is ";
+    if (graph.input.ground && graph.input.ground->spacing() > 0.0) {
+      text << "a surface between " << graph.input.ground->lowest_m() << " and " << graph.input.ground->highest_m() << " m";
+    } else {
+      text << "the plane at elevation " << graph.input.ground_z_m << " m";
+    }
+    if (solution.control.constraints.point_count > 0) text << "; " << solution.control.constraints.point_count << " ground control points";
     return text.str();
   }
   text << "no telemetry: x right, y up, in sensor pixels of frame";
@@ -311,6 +326,9 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   CollectFrames(graph, state, balance, solution);
   LayOutPieces(graph, solution);
   CollectTies(graph, state, report, solution);
+  CollectPairs(graph, content, report, solution);
+  solution.control = CheckControl(graph, state, report);
+  solution.lens = state.lens;
   solution.gauge = GaugeText(graph, options, state, solution);
   solution.used_frame_count = static_cast<int>(graph.frames.size());
   solution.content_tie_count = static_cast<int>(content.size());

@@ -6,6 +6,7 @@
 
 #include "mosaic/align/align_graph.h"
 #include "mosaic/align/content_ties.h"
+#include "mosaic/align/control.h"
 #include "mosaic/align/photometry.h"
 #include "mosaic/base/status.h"
 
@@ -36,6 +37,15 @@ struct OutlierTie {
   double error_px = 0.0;  // Rms of the tie's coordinates.
 };
 
+// Scenes that seemed to show the same ground, and do not by all the others.
+struct OutlierPair {
+  std::uint32_t window_a = 0;
+  std::uint32_t scene_a = 0;
+  std::uint32_t window_b = 0;
+  std::uint32_t scene_b = 0;
+  double error_px = 0.0;
+};
+
 struct AlignSolution {
   std::vector<AlignedScene> scenes;  // Sorted by (window, scene).
   std::vector<AlignedFrame> frames;  // Every frame that any chain registered, used as an unknown or not; sorted.
@@ -50,6 +60,9 @@ struct AlignSolution {
   int content_tie_count = 0;  // Pairs of scenes tied by what they show.
   int content_point_count = 0;
   int content_outlier_count = 0;
+  std::vector<OutlierPair> outlier_pairs;
+  ControlReport control;
+  Lens lens;
   int join_count = 0;  // Pieces joined by content.
   double tie_rms_px = 0.0;
   double variance_factor = 1.0;

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <map>
+#include <numbers>
 #include <set>
 #include <tuple>
 #include <utility>
@@ -71,9 +72,10 @@ std::vector<Candidate> CandidatesOf(const Segment& segment, const Scene& scene) 
   return {{nearest, false}};
 }
 
-// The frames to use: every stride-th of all that appear, and as many more as scenes need, spread over the scene's candidates.
+// The frames to use: every stride-th of all that appear (`seen`), as many more as scenes need, spread over the scene's candidates, and
+// those that show a control point.
 std::set<std::uint32_t> ChooseFrames(const AlignGraph& graph, const std::vector<std::vector<Candidate>>& candidates,
-                                     const AlignOptions& options) {
+                                     const std::set<std::uint32_t>& seen, const AlignOptions& options) {
   std::set<std::uint32_t> used;
   for (std::size_t s = 0; s < graph.scenes.size(); ++s) {
     const Segment& segment = graph.input.segments[static_cast<std::size_t>(graph.scenes[s].segment)];
@@ -92,6 +94,9 @@ std::set<std::uint32_t> ChooseFrames(const AlignGraph& graph, const std::vector<
     const std::size_t extra = std::min(wanted, own.size());
     for (std::size_t k = 0; k < extra; ++k) used.insert(own[(2 * k + 1) * own.size() / (2 * extra)]);
   }
+  for (const ControlObservation& control : graph.input.control) {
+    if (seen.count(control.frame) > 0) used.insert(control.frame);
+  }
   return used;
 }
 
@@ -100,6 +105,13 @@ std::set<std::uint32_t> ChooseFrames(const AlignGraph& graph, const std::vector<
 std::array<Eigen::Vector2d, 4> RoiCorners(const Roi& roi) {
   const double x0 = roi.x0, y0 = roi.y0, x1 = roi.x1 - 1.0, y1 = roi.y1 - 1.0;
   return {Eigen::Vector2d(x0, y0), Eigen::Vector2d(x1, y0), Eigen::Vector2d(x1, y1), Eigen::Vector2d(x0, y1)};
+}
+
+std::array<Eigen::Vector2d, 4> TiePoints(const Roi& roi) {
+  std::array<Eigen::Vector2d, 4> points = RoiCorners(roi);
+  const Eigen::Vector2d centre = 0.5 * (points[0] + points[2]);
+  for (Eigen::Vector2d& point : points) point = centre + (point - centre) / std::numbers::sqrt3;
+  return points;
 }
 
 AlignGraph BuildAlignGraph(AlignInput input, const AlignOptions& options) {
@@ -122,7 +134,7 @@ AlignGraph BuildAlignGraph(AlignInput input, const AlignOptions& options) {
   graph.stride = std::clamp((frame_count + options.frames_max - 1) / std::max(1, options.frames_max), 1, options.stride_max);
 
   std::map<std::uint32_t, int> index_of_frame;
-  for (const std::uint32_t frame : ChooseFrames(graph, candidates, options)) {
+  for (const std::uint32_t frame : ChooseFrames(graph, candidates, seen, options)) {
     index_of_frame[frame] = static_cast<int>(graph.frames.size());
     const auto anchor = std::lower_bound(graph.input.anchors.begin(), graph.input.anchors.end(), frame,
                                          [](const FrameAnchor& a, std::uint32_t f) { return a.frame < f; });

@@ -49,6 +49,11 @@ struct AlignGraph {
 // the nearest view of the chain. Precondition: every segment with scenes has at least one chain view.
 AlignGraph BuildAlignGraph(AlignInput input, const AlignOptions& options);
 
+// Points of a ROI at which a view's map is taken: on its diagonals at 1/sqrt(3) of the way from the centre to the corners, where the mean of
+// any quadratic displacement is its mean over the ROI. An affine view is the best fit over the ROI, so that is where it is right. Order
+// as RoiCorners.
+std::array<Eigen::Vector2d, 4> TiePoints(const Roi& roi_in_sensor);
+
 // Sensor pixels at the corners of a ROI's outermost pixels: upper left, upper right, lower right, lower left.
 std::array<Eigen::Vector2d, 4> RoiCorners(const Roi& roi_in_sensor);
 

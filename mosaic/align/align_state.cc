@@ -155,7 +155,7 @@ void PlaceAnchored(const AlignGraph& graph, AlignState& state) {
     FrameState& frame = state.frames[f];
     if (anchor.pose) {
       frame.camera = CameraFromAnchor(anchor);
-      frame.world_from_sensor = GroundFromCamera(*frame.camera, graph.input);
+      frame.world_from_sensor = GroundFromCamera(*frame.camera, state.lens, graph.input);
     } else {
       frame.world_from_sensor = FromCorners(anchor, graph.input);
     }
@@ -166,19 +166,57 @@ void PlaceAnchored(const AlignGraph& graph, AlignState& state) {
   }
 }
 
+// The planar map that fits a grid of rays best; nothing when one of them misses the ground.
+std::optional<Homography> FittedGround(const Camera& camera, const Lens& lens, const AlignInput& input) {
+  constexpr int kSide = 5;
+  std::vector<Eigen::Vector2d> pixels;
+  std::vector<Eigen::Vector2d> places;
+  for (int j = 0; j < kSide; ++j) {
+    for (int i = 0; i < kSide; ++i) {
+      const Eigen::Vector2d u(i * (input.width_px - 1.0) / (kSide - 1), j * (input.height_px - 1.0) / (kSide - 1));
+      const std::optional<Eigen::Vector3d> place = MeetGround(camera, lens, input, u);
+      if (!place) return std::nullopt;
+      pixels.push_back(u);
+      places.push_back(place->head<2>());
+    }
+  }
+  Result<Homography> fit = FitHomography(pixels, places);
+  if (!fit.ok()) return std::nullopt;
+  // Visible, so of positive depth.
+  if (fit->Depth(pixels[pixels.size() / 2]) < 0.0) fit->matrix *= -1.0;
+  return *fit;
+}
+
 }  // namespace
 
 Camera CameraFromAnchor(const FrameAnchor& anchor) {
   return {anchor.pose->position_m, WorldFromCamera(anchor.pose->yaw_rad, anchor.pose->pitch_rad, anchor.pose->roll_rad), anchor.focal_px};
 }
 
-Homography GroundFromCamera(const Camera& camera, const AlignInput& input) {
+std::optional<Eigen::Vector3d> MeetGround(const Camera& camera, const Lens& lens, const AlignInput& input, const Eigen::Vector2d& u) {
+  const double focal_px = camera.focal_px * std::exp(lens.log_focal);
+  const Eigen::Vector2d seen(u.x() - 0.5 * (input.width_px - 1), u.y() - 0.5 * (input.height_px - 1));
+  // Undone by fixed point: distortions of lenses are a few per cent.
+  constexpr int kIterations = 20;
+  Eigen::Vector2d ray = seen / focal_px;
+  for (int i = 0; i < kIterations && !lens.IsPinhole(); ++i) ray = seen / (focal_px * (1.0 + lens.k1 * ray.squaredNorm()));
+  const Eigen::Vector3d direction = camera.world_from_camera * ray.homogeneous();
+  if (input.ground) return IntersectSurface(camera.position_m, direction, *input.ground);
+  return IntersectSurface(camera.position_m, direction, LevelGround(input.ground_z_m));
+}
+
+Homography GroundFromCamera(const Camera& camera, const Lens& lens, const AlignInput& input) {
+  if (!lens.IsPinhole() || (input.ground && input.ground->spacing() > 0.0)) {
+    const std::optional<Homography> fitted = FittedGround(camera, lens, input);
+    if (fitted) return *fitted;
+  }
+  const double focal_px = camera.focal_px * std::exp(lens.log_focal);
   Eigen::Matrix3d camera_from_sensor;
-  camera_from_sensor << 1.0 / camera.focal_px, 0.0, -0.5 * (input.width_px - 1) / camera.focal_px, 0.0, 1.0 / camera.focal_px,
-      -0.5 * (input.height_px - 1) / camera.focal_px, 0.0, 0.0, 1.0;
+  camera_from_sensor << 1.0 / focal_px, 0.0, -0.5 * (input.width_px - 1) / focal_px, 0.0, 1.0 / focal_px,
+      -0.5 * (input.height_px - 1) / focal_px, 0.0, 0.0, 1.0;
   // As geometry's GroundFromSensor, of a rotation matrix instead of angles (which are degenerate straight down).
   const Eigen::Matrix3d direction = camera.world_from_camera * camera_from_sensor;
-  const double height_m = camera.position_m.z() - input.ground_z_m;
+  const double height_m = camera.position_m.z() - (input.ground ? 0.5 * (input.ground->lowest_m() + input.ground->highest_m()) : input.ground_z_m);
   Homography ground_from_sensor;
   ground_from_sensor.matrix.row(2) = -direction.row(2);
   ground_from_sensor.matrix.row(0) = height_m * direction.row(0) - camera.position_m.x() * direction.row(2);

@@ -9,6 +9,16 @@
 
 namespace trem::align {
 
+// What all cameras of a sortie share. A ray (x, y, 1) in camera axes is seen at
+//
+//   centre + focal_px exp(log_focal) (1 + k1 (x^2 + y^2)) (x, y)
+struct Lens {
+  double log_focal = 0.0;  // What telemetry's focal lengths are off by.
+  double k1 = 0.0;         // Radial distortion; positive: pincushion.
+
+  bool IsPinhole() const { return k1 == 0.0; }
+};
+
 // A camera in the working world; see geometry/camera.h for its axes.
 struct Camera {
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
@@ -17,8 +27,11 @@ struct Camera {
 };
 
 Camera CameraFromAnchor(const FrameAnchor& anchor);
-// world_from_sensor on the plane z = ground_z_m; Depth() > 0 below the horizon.
-Homography GroundFromCamera(const Camera& camera, const AlignInput& input);
+// world_from_sensor on the ground; Depth() > 0 below the horizon. Over a surface that is not level, or with a lens that distorts, the
+// planar map that fits rays through the image best.
+Homography GroundFromCamera(const Camera& camera, const Lens& lens, const AlignInput& input);
+// Where the ray of sensor pixel `u` meets the ground; nothing when it does not.
+std::optional<Eigen::Vector3d> MeetGround(const Camera& camera, const Lens& lens, const AlignInput& input, const Eigen::Vector2d& u);
 
 struct FrameState {
   std::optional<Camera> camera;  // Frames with a pose: the map follows from it.
@@ -41,6 +54,7 @@ struct AlignState {
   // Shared errors of telemetry (true = telemetry + bias): metres, and radians about the camera's axes.
   Eigen::Vector3d position_bias_m = Eigen::Vector3d::Zero();
   Eigen::Vector3d attitude_bias_rad = Eigen::Vector3d::Zero();
+  Lens lens;
   // Ties that were left out because the ROI reaches the horizon in that frame.
   std::vector<bool> tie_unusable;
 };

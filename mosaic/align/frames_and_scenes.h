@@ -3,12 +3,14 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "mosaic/geometry/affine.h"
 #include "mosaic/geometry/camera.h"
+#include "mosaic/geometry/ground_surface.h"
 #include "mosaic/geometry/homography.h"
 #include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/roi.h"
@@ -62,7 +64,10 @@ struct FrameAnchor {
   std::optional<CameraPose> pose;  // Yaw from grid north.
   double focal_px = 0.0;           // With a pose.
   // Upper left, upper right, lower right, lower left: outer corners of the image, that is sensor points (-1/2, -1/2) and so on.
-  std::optional<std::array<Eigen::Vector2d, 4>> corners;
+  std::optional<std::array<Eigen::Vector2d, 4>> corners = std::nullopt;
+  // By how much this frame's pose is less sure than the others' (interpolated records): standard deviations, on top of AlignInput's.
+  double position_extra_m = 0.0;
+  double attitude_extra_rad = 0.0;
 };
 
 // Points that two scenes have in common, in cells of their segments' planes.
@@ -73,15 +78,31 @@ struct ContentTie {
   std::vector<Eigen::Vector2d> x_in_b;
 };
 
+// A surveyed point that one frame shows.
+struct ControlObservation {
+  std::string name;  // Several observations of one point share it.
+  std::uint32_t frame = 0;
+  Eigen::Vector2d u = Eigen::Vector2d::Zero();           // Sensor pixels.
+  Eigen::Vector3d x_in_world = Eigen::Vector3d::Zero();  // Working world.
+  bool held_out = false;                                 // Compared with the result only.
+};
+
 struct AlignInput {
   int width_px = 0;  // Of the sensor.
   int height_px = 0;
   int ratio = 3;  // Scene cells per sensor pixel.
   double ground_z_m = 0.0;
+  std::shared_ptr<const GroundSurface> ground;  // In the working world; null: level at ground_z_m.
   double position_sigma_m = 1.0;
   double attitude_sigma_rad = 0.1 * 0.017453292519943295;
   std::vector<Segment> segments;
   std::vector<FrameAnchor> anchors;  // At most one a frame; empty: no telemetry.
+  std::vector<ControlObservation> control;
+  double control_sigma_px = 0.5;  // Of an observation's pixel, each axis.
+  double control_sigma_m = 0.1;   // Of a point's survey, each axis.
+  // Of the field of view that telemetry gives, relative, one error for all frames; 0: it is exact.
+  double focal_sigma = 0.0;
+  bool estimate_distortion = false;  // Radial distortion of the lens, one coefficient.
 };
 
 struct AlignOptions {

@@ -21,6 +21,7 @@ namespace trem::align {
 
 inline constexpr int kMapParameters = 8;
 inline constexpr int kCameraParameters = 6;  // dx, dy, dz [m], rotation about the camera's axes [rad].
+inline constexpr int kLensParameters = 2;    // Log of the focal length's factor, k1; see Lens.
 
 // Applies D to (x, y, w).
 template <typename T>
@@ -46,22 +47,50 @@ struct SensorFrame {
   double half_px = 1.0;
 };
 
+// The ground's elevation as a function that Ceres can differentiate.
+struct GroundFunction {
+  const GroundSurface* surface = nullptr;  // Null: level.
+  double level_m = 0.0;                    // Without a surface, and where it is not known.
+
+  double operator()(const Eigen::Matrix<double, 2, 1>& x) const {
+    return surface == nullptr ? level_m : surface->ElevationAt(x).value_or(level_m);
+  }
+  template <typename T>
+  T operator()(const Eigen::Matrix<T, 2, 1>& x) const {
+    const Eigen::Vector2d at(x(0).a, x(1).a);
+    if (surface == nullptr || surface->spacing() == 0.0) return T((*this)(at));
+    const double step = 0.5 * surface->spacing();
+    const Eigen::Vector2d slope(
+        ((*this)(Eigen::Vector2d(at.x() + step, at.y())) - (*this)(Eigen::Vector2d(at.x() - step, at.y()))) / (2.0 * step),
+        ((*this)(Eigen::Vector2d(at.x(), at.y() + step)) - (*this)(Eigen::Vector2d(at.x(), at.y() - step))) / (2.0 * step));
+    return (*this)(at) + slope.x() * (x(0) - at.x()) + slope.y() * (x(1) - at.y());
+  }
+};
+
 // How a frame sees a world point, for frames with a camera: p = {dx, dy, dz, rotation vector}.
 struct CameraProjection {
   Camera camera;  // Current value.
   SensorFrame sensor;
-  double ground_z_m = 0.0;
+  GroundFunction ground;
 
   template <typename T>
-  bool operator()(const T* p, const Eigen::Matrix<T, 2, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
+  bool operator()(const T* p, const T* lens, const Eigen::Matrix<T, 2, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
+    return See<T>(p, lens, Eigen::Matrix<T, 3, 1>(x(0), x(1), ground(x)), u);
+  }
+  // A point off the ground surface.
+  template <typename T>
+  bool See(const T* p, const T* lens, const Eigen::Matrix<T, 3, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
+    using std::exp;
     const Eigen::Matrix<T, 3, 1> offset(x(0) - camera.position_m.x() - p[0], x(1) - camera.position_m.y() - p[1],
-                                        ground_z_m - camera.position_m.z() - p[2]);
+                                        x(2) - camera.position_m.z() - p[2]);
     const Eigen::Matrix<T, 3, 1> unrotated = camera.world_from_camera.transpose().cast<T>() * offset;
     const T inverse_rotation[3] = {-p[3], -p[4], -p[5]};
     T ray[3];
     ceres::AngleAxisRotatePoint(inverse_rotation, unrotated.data(), ray);
     if (!(ray[2] > 1e-6)) return false;
-    *u << sensor.centre_x + camera.focal_px * ray[0] / ray[2], sensor.centre_y + camera.focal_px * ray[1] / ray[2];
+    const T a = ray[0] / ray[2], b = ray[1] / ray[2];
+    const T focal_px = camera.focal_px * exp(lens[0]) * (1.0 + lens[1] * (a * a + b * b));
+    *u << sensor.centre_x + focal_px * a, sensor.centre_y + focal_px * b;
     return true;
   }
 };
@@ -72,22 +101,27 @@ struct FreeProjection {
   SensorFrame sensor;
 
   template <typename T>
-  bool operator()(const T* d, const Eigen::Matrix<T, 2, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
+  bool operator()(const T* d, const T* /*lens*/, const Eigen::Matrix<T, 2, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
     const Eigen::Matrix<T, 3, 1> world(x(0), x(1), T(1.0));
     const Eigen::Matrix<T, 3, 1> unit = ApplyDelta<T>(d, unit_from_world.cast<T>() * world);
     if (!(unit(2) > 1e-9)) return false;
     *u << sensor.centre_x + sensor.half_px * unit(0) / unit(2), sensor.centre_y + sensor.half_px * unit(1) / unit(2);
     return true;
   }
+  // A free map knows no heights.
+  template <typename T>
+  bool See(const T* d, const T* lens, const Eigen::Matrix<T, 3, 1>& x, Eigen::Matrix<T, 2, 1>* u) const {
+    return (*this)(d, lens, Eigen::Matrix<T, 2, 1>(x.template head<2>()), u);
+  }
 };
 
 using Whitener8 = Eigen::Matrix<double, 8, 8>;
 
-// Whitens the residuals of the ROI's four corners: inverse Cholesky factor of J C J' + floor^2 I. C 6 x 6: J is the affine
-// extrapolation from the upper left, upper right and lower left corners; 8 x 8: the order of the corners alone changes.
+// Whitens the residuals of the four tie points: inverse Cholesky factor of J C J' + floor^2 I. C 6 x 6: J is the affine map from the upper
+// left, upper right and lower left corners to the points; 8 x 8: the bilinear one from all four.
 Whitener8 TieWhitener(const CornerCovariance& corner_covariance_px2, double floor_px);
 
-// Where a frame sees the scene's points against where the chain says it sees them: 4 ROI corners, 8 whitened residuals.
+// Where a frame sees the scene's points against where the chain says it sees them: 4 tie points, 8 whitened residuals.
 template <typename Projection>
 struct TieResidual {
   Projection projection;
@@ -95,19 +129,44 @@ struct TieResidual {
   std::array<Eigen::Vector2d, 4> xi;
   std::array<Eigen::Vector2d, 4> u;
   Whitener8 whitener;
+  // The view is affine and knows nothing of the displacement that no affine map makes (+, -, +, - round the four points): of a camera,
+  // whose perspective is known, that part is left out.
+  bool affine_part = false;
 
   template <typename T>
-  bool operator()(const T* frame, const T* scene, T* residuals) const {
+  bool operator()(const T* frame, const T* scene, const T* lens, T* residuals) const {
     Eigen::Matrix<T, 8, 1> error;
     for (int k = 0; k < 4; ++k) {
       Eigen::Matrix<T, 2, 1> x;
       Eigen::Matrix<T, 2, 1> seen;
       const auto point = static_cast<std::size_t>(k);
-      if (!WorldFromUnit(world_from_unit, scene, xi[point], &x) || !projection(frame, x, &seen)) return false;
+      if (!WorldFromUnit(world_from_unit, scene, xi[point], &x) || !projection(frame, lens, x, &seen)) return false;
       error.template segment<2>(2 * k) = seen - u[point].cast<T>();
+    }
+    for (int axis = 0; axis < 2 && affine_part; ++axis) {
+      const T twist = 0.25 * (error(axis) - error(2 + axis) + error(4 + axis) - error(6 + axis));
+      for (int k = 0; k < 4; ++k) error(2 * k + axis) -= k % 2 == 0 ? twist : -twist;
     }
     Eigen::Map<Eigen::Matrix<T, 8, 1>> out(residuals);
     out = whitener.cast<T>() * error;
+    return true;
+  }
+};
+
+// A surveyed point against where a frame shows it: 2 residuals, in units of `sigma_px`.
+template <typename Projection>
+struct ControlResidual {
+  Projection projection;
+  Eigen::Vector3d x_in_world;
+  Eigen::Vector2d u;
+  double sigma_px = 1.0;
+
+  template <typename T>
+  bool operator()(const T* frame, const T* lens, T* residuals) const {
+    Eigen::Matrix<T, 2, 1> seen;
+    if (!projection.template See<T>(frame, lens, x_in_world.cast<T>(), &seen)) return false;
+    residuals[0] = (seen(0) - u.x()) / sigma_px;
+    residuals[1] = (seen(1) - u.y()) / sigma_px;
     return true;
   }
 };
@@ -168,7 +227,7 @@ struct CornerPrior {
       const auto point = static_cast<std::size_t>(k);
       const Eigen::Matrix<T, 2, 1> x(x_in_world[point].x() + position_bias[0], x_in_world[point].y() + position_bias[1]);
       Eigen::Matrix<T, 2, 1> seen;
-      if (!projection(d, x, &seen)) return false;
+      if (!projection(d, static_cast<const T*>(nullptr), x, &seen)) return false;
       residuals[2 * k] = (seen(0) - u[point].x()) / sigma_px;
       residuals[2 * k + 1] = (seen(1) - u[point].y()) / sigma_px;
     }

@@ -19,6 +19,9 @@ struct SolveReport {
   std::vector<double> scene_sigma;     // Standard error of each scene's centre, working world units: sqrt of the larger eigenvalue.
   int content_point_count = 0;
   int content_outlier_count = 0;  // Points further than 4 sigma.
+  std::vector<double> content_error_px;   // Rms distance of each content tie's points, sensor px; of unused ones 0.
+  std::vector<bool> content_tie_outlier;  // Most of the tie's points are further than 4 sigma.
+  std::vector<double> control_norm2;  // Squared whitened residual of each control observation; -1: no constraint.
   bool converged = false;
 };
 

@@ -95,6 +95,18 @@ void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
   if (telemetry->has_time_offset_s()) check->Number("telemetry.time_offset_s", telemetry->time_offset_s(), -86400.0, 86400.0);
 }
 
+void CompleteControl(v1::Control* control, RangeChecker* check) {
+  check->Path("control.path", control->path());
+  check->Text("control.held_out", control->held_out(), 1U << 16);
+  if (control->path().empty() && !control->held_out().empty()) {
+    check->Refuse("control.held_out", "set", "nothing without control.path: there are no points");
+  }
+  control->set_pixel_sigma_px(OrDefault(control->pixel_sigma_px(), 0.5));
+  check->Number("control.pixel_sigma_px", control->pixel_sigma_px(), 1e-3, 1e3);
+  control->set_survey_sigma_m(OrDefault(control->survey_sigma_m(), 0.1));
+  check->Number("control.survey_sigma_m", control->survey_sigma_m(), 1e-4, 1e4);
+}
+
 void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
   check->Enum("sensor.psf_model", sensor->psf_model(), v1::PsfModel_IsValid(sensor->psf_model()));
   if (sensor->psf_model() == v1::PSF_AUTO) {
@@ -220,6 +232,7 @@ Status CompleteSortie(v1::Sortie* sortie) {
   CompleteTre(sortie->mutable_tre(), &check);
   CompleteWindows(sortie->mutable_windows(), &check);
   CompleteMosaic(sortie->mutable_mosaic(), &check);
+  CompleteControl(sortie->mutable_control(), &check);
   if (sortie->name().empty()) sortie->set_name(NameOfSource(sortie->source().path()));
   return check.status();
 }

@@ -46,6 +46,7 @@ void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
   if (!sortie->source().path().empty()) sortie->mutable_source()->set_path(Absolute(sortie->source().path(), base));
   if (!sortie->telemetry().path().empty()) sortie->mutable_telemetry()->set_path(Absolute(sortie->telemetry().path(), base));
   if (!sortie->telemetry().dem_path().empty()) sortie->mutable_telemetry()->set_dem_path(Absolute(sortie->telemetry().dem_path(), base));
+  if (!sortie->control().path().empty()) sortie->mutable_control()->set_path(Absolute(sortie->control().path(), base));
   v1::Sensor* sensor = sortie->mutable_sensor();
   if (!sensor->psf_kernel_path().empty()) sensor->set_psf_kernel_path(Absolute(sensor->psf_kernel_path(), base));
   if (!sensor->bad_pixel_path().empty()) sensor->set_bad_pixel_path(Absolute(sensor->bad_pixel_path(), base));
@@ -107,6 +108,7 @@ Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std
   if (!sortie.telemetry().dem_path().empty()) {
     TREM_RETURN_IF_ERROR(CheckThere("telemetry.dem_path: ", sortie.telemetry().dem_path(), "an elevation model"));
   }
+  if (!sortie.control().path().empty()) TREM_RETURN_IF_ERROR(CheckThere("control.path: ", sortie.control().path(), "a gcp.csv"));
   TREM_RETURN_IF_ERROR(CheckSensorFiles(sortie.sensor()));
   if (!sortie.mosaic().cutline_path().empty()) {
     TREM_RETURN_IF_ERROR(CheckThere("mosaic.cutline_path: ", sortie.mosaic().cutline_path(), "polygons as GeoJSON or GeoPackage"));

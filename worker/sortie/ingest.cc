@@ -12,6 +12,7 @@
 
 #include "proto/codec/convert.h"
 #include "worker/sortie/borders.h"
+#include "worker/sortie/control_csv.h"
 #include "worker/sortie/frame_motion.h"
 #include "worker/sortie/frame_reader.h"
 #include "worker/sortie/frame_source.h"
@@ -55,6 +56,7 @@ class Ingest {
     TREM_RETURN_IF_ERROR(CheckSeeking());
     for (const v1::Note& note : source_->notes()) *manifest_.add_notes() = note;
     TREM_RETURN_IF_ERROR(AttachFoundTelemetry(telemetry, sortie_, &manifest_));
+    TREM_RETURN_IF_ERROR(AttachControl(sortie_.control(), &manifest_));
     SplitIntoSpans(&manifest_);
     return std::move(manifest_);
   }

@@ -86,6 +86,7 @@ Status SourceGuard::Check(const v1::Sortie& sortie) const {
   TREM_RETURN_IF_ERROR(CheckPath("sensor.psf_kernel_path", sortie.sensor().psf_kernel_path()));
   TREM_RETURN_IF_ERROR(CheckPath("sensor.bad_pixel_path", sortie.sensor().bad_pixel_path()));
   TREM_RETURN_IF_ERROR(CheckPath("sensor.mask_path", sortie.sensor().mask_path()));
+  TREM_RETURN_IF_ERROR(CheckPath("control.path", sortie.control().path()));
   if (IsVirtual(source.string())) return {};
   TREM_RETURN_IF_ERROR(CheckEntries(source));
   // Tracks beside a video may be links, too; a telemetry.csv may lie above the source, and be a link.

@@ -7,6 +7,7 @@
 
 #include "mosaic/raster/crs.h"
 #include "proto/codec/convert.h"
+#include "worker/sortie/control_csv.h"
 
 namespace trem {
 namespace {
@@ -119,6 +120,8 @@ class AnchorMaker {
       camera.pitch_rad = pose.pitch_deg() * kRad;
       camera.roll_rad = pose.roll_deg() * kRad;
       anchor.pose = camera;
+      anchor.position_extra_m = std::max(0.0, pose.position_sigma_m());
+      anchor.attitude_extra_rad = std::max(0.0, pose.attitude_sigma_deg()) * kRad;
       anchor.focal_px = FocalFromHorizontalFov(width_px, pose.hfov_deg() * kRad);
       return anchor;
     }
@@ -129,6 +132,18 @@ class AnchorMaker {
     }
     anchor.corners = corners;
     return anchor;
+  }
+
+  Result<align::ControlObservation> MakeControl(const v1::ControlObservation& message, const std::vector<std::string>& held_out) const {
+    align::ControlObservation control;
+    control.name = message.name();
+    control.frame = message.frame_index();
+    control.u = {message.x_px(), message.y_px()};
+    TREM_ASSIGN_OR_RETURN(const Eigen::Vector2d at, Working(message.latitude_deg(), message.longitude_deg()));
+    control.x_in_world << at, message.elevation_m();
+    control.held_out = std::any_of(held_out.begin(), held_out.end(),
+                                   [&](const std::string& name) { return name == "*" || name == control.name; });
+    return control;
   }
 
  private:
@@ -177,6 +192,12 @@ Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest
     if (!anchor.ok()) return anchor.status().WithPrefix("frame " + manifest.frames(static_cast<int>(t)).name());
     input.align.anchors.push_back(std::move(*anchor));
   }
+  const std::vector<std::string> held_out = HeldOutNames(sortie.control());
+  for (const v1::ControlObservation& control : manifest.control()) {
+    Result<align::ControlObservation> observation = maker.MakeControl(control, held_out);
+    if (!observation.ok()) return observation.status().WithPrefix("control point " + control.name());
+    input.align.control.push_back(std::move(*observation));
+  }
   input.telemetry = true;
   return {};
 }
@@ -207,6 +228,8 @@ Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::Sortie
   align.ground_z_m = sortie.telemetry().has_ground_elevation_m() ? sortie.telemetry().ground_elevation_m() : manifest.ground_elevation_m();
   if (sortie.telemetry().position_sigma_m() > 0.0) align.position_sigma_m = sortie.telemetry().position_sigma_m();
   if (sortie.telemetry().attitude_sigma_deg() > 0.0) align.attitude_sigma_rad = sortie.telemetry().attitude_sigma_deg() * kRad;
+  if (sortie.control().pixel_sigma_px() > 0.0) align.control_sigma_px = sortie.control().pixel_sigma_px();
+  if (sortie.control().survey_sigma_m() > 0.0) align.control_sigma_m = sortie.control().survey_sigma_m();
   for (const v1::WindowResult& window : windows) {
     const Status status = AddWindow(window, static_cast<std::uint32_t>(manifest.frames_size()), input);
     if (!status.ok()) return status.WithPrefix("window " + std::to_string(window.window_id()));

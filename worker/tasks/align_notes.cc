@@ -87,6 +87,53 @@ void AddOutliers(const v1::SortieManifest& manifest, const align::AlignSolution&
   notes.push_back(MakeNote("outlier_ties", "", text.str(), v1::INFO));
 }
 
+std::string FitText(const align::ControlFit& fit) {
+  return std::to_string(fit.point_count) + " points: RMSE " + Rounded(fit.rmse_m, 3) + " m, CE90 " + Rounded(fit.ce90_m, 3) + " m";
+}
+
+void AddControl(const v1::SortieManifest& manifest, const align::AlignSolution& solution, std::vector<v1::Note>& notes) {
+  const align::ControlReport& control = solution.control;
+  if (manifest.control_size() > 0 && !solution.georeferenced) {
+    notes.push_back(MakeNote("control_unused", "",
+                             "ground control is not used without telemetry: nothing places the mosaic near the points", v1::WARNING));
+    return;
+  }
+  if (control.constraints.point_count > 0) {
+    notes.push_back(MakeNote("control", "", "the mosaic fits ground control, " + FitText(control.constraints), v1::INFO));
+  }
+  if (control.checks.point_count > 0) {
+    notes.push_back(MakeNote("control_check", "", "against ground control that was held out, " + FitText(control.checks), v1::INFO));
+  }
+  std::map<std::string, std::string> outliers;
+  for (const align::AlignedControl& point : control.observations) {
+    if (!point.outlier) continue;
+    std::string& text = outliers[point.name];
+    text += (text.empty() ? "" : ", ") + Rounded(point.error_m.norm(), 2) + " m off in frame " + FrameName(manifest, point.frame);
+  }
+  for (const auto& [name, text] : outliers) {
+    notes.push_back(MakeNote("control_outlier", "control point " + name,
+                             "control point " + name + " contradicts telemetry and the other points and was given no weight: " + text +
+                                 "; check its coordinates (longitude before latitude, WGS 84), its frame and its pixel",
+                             v1::WARNING));
+  }
+  if (control.unseen.empty()) return;
+  std::string names;
+  for (const std::string& name : control.unseen) names += (names.empty() ? "" : ", ") + name;
+  notes.push_back(MakeNote("control_unseen", "", "no placed frame shows these control points, which are not used: " + names, v1::WARNING));
+}
+
+void AddOutlierPairs(const align::AlignSolution& solution, std::vector<v1::Note>& notes) {
+  if (solution.outlier_pairs.empty()) return;
+  std::ostringstream text;
+  text << solution.outlier_pairs.size() << " pairs of scenes seemed to show the same ground and contradict the others:";
+  for (std::size_t k = 0; k < std::min<std::size_t>(10, solution.outlier_pairs.size()); ++k) {
+    const align::OutlierPair& pair = solution.outlier_pairs[k];
+    text << (k == 0 ? " " : ", ") << "scene " << pair.scene_a << " of window " << pair.window_a << " and scene " << pair.scene_b
+         << " of window " << pair.window_b << " (" << Rounded(pair.error_px, 1) << " px)";
+  }
+  notes.push_back(MakeNote("outlier_pairs", "", text.str(), v1::INFO));
+}
+
 void AddLeftOutScenes(const std::vector<align::AlignedScene>& scenes, const std::string& code, const std::string& why,
                       std::vector<v1::Note>& notes) {
   if (scenes.empty()) return;
@@ -149,6 +196,8 @@ std::vector<v1::Note> AlignNotes(const v1::Sortie& sortie, const v1::SortieManif
   AddLostFrames(manifest, census, notes);
   AddPieces(manifest, solution, notes);
   AddOutliers(manifest, solution, notes);
+  AddOutlierPairs(solution, notes);
+  AddControl(manifest, solution, notes);
   AddLeftOutScenes(solution.unplaced_scenes, "scenes_without_place", "nothing connects them to a frame with telemetry", notes);
   AddLeftOutScenes(solution.insane_scenes, "scenes_not_credible",
                    "their scale is off by more than 8 times in area, or they reach the horizon", notes);

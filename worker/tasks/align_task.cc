@@ -130,6 +130,22 @@ v1::Alignment ToMessage(const align::AlignSolution& solution, const MosaicGrid& 
   alignment.set_georeferenced(solution.georeferenced);
   alignment.set_gauge(solution.gauge);
   alignment.set_tie_rms_px(solution.tie_rms_px);
+  const auto fit = [](const align::ControlFit& from, v1::ControlFit* out) {
+    out->set_point_count(static_cast<std::uint32_t>(from.point_count));
+    out->set_rmse_m(from.rmse_m);
+    out->set_ce90_m(from.ce90_m);
+  };
+  if (solution.control.constraints.point_count > 0) fit(solution.control.constraints, alignment.mutable_control_constraints());
+  if (solution.control.checks.point_count > 0) fit(solution.control.checks, alignment.mutable_control_checks());
+  for (const align::AlignedControl& control : solution.control.observations) {
+    v1::ControlError* const error = alignment.add_control_errors();
+    error->set_name(control.name);
+    error->set_frame_index(control.frame);
+    error->set_held_out(control.held_out);
+    error->set_outlier(control.outlier);
+    error->set_east_m(control.error_m.x());
+    error->set_north_m(control.error_m.y());
+  }
   return alignment;
 }
 

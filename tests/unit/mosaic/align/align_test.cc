@@ -48,22 +48,21 @@ double P95AroundMean(const std::vector<Eigen::Vector2d>& errors) {
   return norms[norms.size() * 95 / 100];
 }
 
-// What an affine view leaves unexplained of an oblique wide view shows in the ties; a projective view leaves its noise alone.
-TEST(Align, ProjectiveViewsTieFramesOfAWideObliqueCameraExactly) {
-  SyntheticOptions options;
-  options.pitch_deg = -45.0;
-  options.hfov_deg = 25.0;
-  options.view_sigma_px = 0.005;
-  const SyntheticSortie affine = MakeSortie(options);
-  options.projective_views = true;
-  const SyntheticSortie projective = MakeSortie(options);
-  const double affine_rms_px = MustAlign(affine.input).tie_rms_px;
-  const AlignSolution solution = MustAlign(projective.input);
-  EXPECT_GT(affine_rms_px, 0.02);
-  EXPECT_LT(solution.tie_rms_px, 0.006);
-  EXPECT_LT(solution.tie_rms_px, 0.25 * affine_rms_px);
-  EXPECT_TRUE(solution.outlier_ties.empty());
-  EXPECT_LT(P95AroundMean(ErrorsPx(projective, solution, {}, projective.gsd_m)), 0.15);
+// Over a wide oblique view an affine map is a fit only; ties are taken where it is right, and its twist, of which it knows nothing, is left out.
+// So views of either kind tie the frames as well as their noise allows.
+TEST(Align, ViewsOfEitherModelTieFramesOfAWideObliqueCamera) {
+  for (const bool projective : {false, true}) {
+    SyntheticOptions options;
+    options.pitch_deg = -45.0;
+    options.hfov_deg = 25.0;
+    options.view_sigma_px = 0.005;
+    options.projective_views = projective;
+    const SyntheticSortie sortie = MakeSortie(options);
+    const AlignSolution solution = MustAlign(sortie.input);
+    EXPECT_LT(solution.tie_rms_px, 0.006);
+    EXPECT_TRUE(solution.outlier_ties.empty());
+    EXPECT_LT(P95AroundMean(ErrorsPx(sortie, solution, {}, sortie.gsd_m)), 0.15);
+  }
 }
 
 TEST(Align, RecoversNadirScenesFromExactTelemetry) {

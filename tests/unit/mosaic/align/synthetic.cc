@@ -44,8 +44,32 @@ void AddAnchors(const SyntheticOptions& options, const std::vector<CameraPose>& 
     told.yaw_rad += attitude_bias.x() + options.attitude_white_deg * kRad * rng.Normal();
     told.pitch_rad += attitude_bias.y() + options.attitude_white_deg * kRad * rng.Normal();
     told.roll_rad += attitude_bias.z() + options.attitude_white_deg * kRad * rng.Normal();
-    sortie.input.anchors.push_back({static_cast<std::uint32_t>(t), told, focal_px, std::nullopt});
+    sortie.input.anchors.push_back({static_cast<std::uint32_t>(t), told, focal_px * (1.0 + options.focal_error)});
   }
+}
+
+// A plane that rises by `slope` to the north and to the east, with 0 at the world's origin.
+std::shared_ptr<const GroundSurface> Slope(double slope) {
+  constexpr double kReachM = 2000.0;
+  Image<float> nodes(2, 2);
+  for (int y = 0; y < 2; ++y) {
+    for (int x = 0; x < 2; ++x) nodes.at(x, y) = static_cast<float>(slope * kReachM * (2 * (x + y) - 2));
+  }
+  return std::make_shared<GriddedGround>(Eigen::Vector2d(-kReachM, -kReachM), Eigen::Vector2d(2.0 * kReachM, 2.0 * kReachM), nodes);
+}
+
+// Of a plane seen by a pinhole camera: exact.
+Homography MapOf(const CameraPose& pose, const CameraIntrinsics& intrinsics, const GroundSurface& ground) {
+  std::vector<Eigen::Vector2d> u, x;
+  for (const double right : {0.0, 100.0, 255.0}) {
+    for (const double down : {0.0, 80.0, 199.0}) {
+      u.emplace_back(right, down);
+      x.push_back(IntersectSurface(pose, intrinsics, ground, u.back())->head<2>());
+    }
+  }
+  Homography map = *FitHomography(u, x);
+  if (map.Depth(u[4]) < 0.0) map.matrix *= -1.0;
+  return map;
 }
 
 // The views of frames [begin, end) of one ROI, and the scenes emitted on the way.
@@ -54,12 +78,13 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
   Segment segment;
   segment.roi_in_sensor = roi;
   const auto corners = RoiCorners(roi);
+  const auto points = TiePoints(roi);
   const double variance = std::max(1e-8, options.view_sigma_px * options.view_sigma_px);
   for (int t = begin; t < end; ++t) {
     const auto frame = static_cast<std::size_t>(t);
     const Homography scene_from_sensor = world_from_scene.Inverse() * sortie.world_from_sensor[frame];
     std::vector<Eigen::Vector2d> x;
-    for (const Eigen::Vector2d& u : corners) x.push_back(scene_from_sensor * u);
+    for (const Eigen::Vector2d& u : points) x.push_back(scene_from_sensor * sortie.Undistorted(u, options.k1));
     // The estimate's sensor_from_scene is off by independent displacements of the upper left, upper right and lower left corner, and of
     // the lower right one when it is projective.
     std::vector<Eigen::Vector2d> own = {corners[0], corners[1], corners[3]};
@@ -71,7 +96,7 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
     if (options.projective_views) {
       view.scene_from_sensor = PlanarMap::FromHomography(scene_from_sensor * *FitHomography(displaced, own));
     } else {
-      view.scene_from_sensor = *FitAffine(corners, x) * *FitAffine(displaced, own);
+      view.scene_from_sensor = *FitAffine(points, x) * *FitAffine(displaced, own);
     }
     const auto parameters = static_cast<Eigen::Index>(2 * own.size());
     view.corner_covariance_px2 = variance * CornerCovariance::Identity(parameters, parameters);
@@ -102,6 +127,33 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
 
 }  // namespace
 
+Eigen::Vector2d SyntheticSortie::Distorted(const Eigen::Vector2d& u, double k1) const {
+  const Eigen::Vector2d centre(0.5 * (kWidth - 1), 0.5 * (kHeight - 1));
+  const Eigen::Vector2d ray = (u - centre) / focal_px;
+  return centre + focal_px * (1.0 + k1 * ray.squaredNorm()) * ray;
+}
+
+Eigen::Vector2d SyntheticSortie::Undistorted(const Eigen::Vector2d& u, double k1) const {
+  Eigen::Vector2d pinhole = u;
+  for (int i = 0; i < 30; ++i) pinhole += u - Distorted(pinhole, k1);
+  return pinhole;
+}
+
+std::vector<ControlObservation> ObserveControl(const SyntheticOptions& options, const SyntheticSortie& sortie, const std::string& name,
+                                               const Eigen::Vector2d& place, double sigma_px) {
+  std::vector<ControlObservation> observations;
+  Rng rng({options.seed, 3, std::hash<std::string>{}(name)});
+  const double z = sortie.input.ground ? *sortie.input.ground->ElevationAt(place) : 0.0;
+  for (std::size_t t = 0; t < sortie.world_from_sensor.size(); t += 3) {
+    const Homography sensor_from_world = sortie.world_from_sensor[t].Inverse();
+    const Eigen::Vector2d u = sortie.Distorted(sensor_from_world * place, options.k1);
+    if (u.x() < 5.0 || u.y() < 5.0 || u.x() > kWidth - 5.0 || u.y() > kHeight - 5.0) continue;
+    const Eigen::Vector2d noise(rng.Normal(), rng.Normal());
+    observations.push_back({name, static_cast<std::uint32_t>(t), u + sigma_px * noise, {place.x(), place.y(), z}, false});
+  }
+  return observations;
+}
+
 SyntheticSortie MakeSortie(const SyntheticOptions& options) {
   SyntheticSortie sortie;
   AlignInput& input = sortie.input;
@@ -112,12 +164,15 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
   input.attitude_sigma_rad = std::max(0.005, std::max(options.attitude_bias_deg, options.attitude_white_deg)) * kRad;
   const CameraIntrinsics intrinsics{kWidth, kHeight, FocalFromHorizontalFov(kWidth, options.hfov_deg * kRad)};
   sortie.gsd_m = kAltitudeM / intrinsics.focal_px;
+  sortie.focal_px = intrinsics.focal_px;
+  if (options.slope != 0.0) input.ground = Slope(options.slope);
 
   std::vector<CameraPose> poses;
   Rng rng({options.seed, 1});
   for (int t = 0; t < options.frame_count; ++t) {
     poses.push_back(TruePose(options, t, 0.5 * kHeight * sortie.gsd_m, rng));
-    sortie.world_from_sensor.push_back(GroundFromSensor(poses.back(), intrinsics, 0.0));
+    sortie.world_from_sensor.push_back(input.ground ? MapOf(poses.back(), intrinsics, *input.ground)
+                                                    : GroundFromSensor(poses.back(), intrinsics, 0.0));
     sortie.frame_gain.push_back(std::exp(options.gain_sigma * rng.Normal()));
     sortie.frame_offset.push_back(options.offset_sigma * rng.Normal());
   }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "mosaic/align/frames_and_scenes.h"
@@ -17,7 +18,10 @@ struct SyntheticOptions {
   int leg_frames = 0;           // > 0: lawnmower legs of that many frames, each half a footprint beside the last.
   double view_sigma_px = 0.02;  // Noise of each chain view's corners.
   double hfov_deg = 8.0;
-  bool projective_views = false;  // Chain views are the homographies; else the affine maps that fit best at the ROI's corners.
+  double slope = 0.0;        // Of the ground, which rises to the north-east.
+  double k1 = 0.0;           // Radial distortion of the lens; affine views only.
+  double focal_error = 0.0;  // Telemetry's focal length = (1 + this) * true one.
+  bool projective_views = false;  // Chain views are the homographies; else the affine maps that fit best over the ROI.
   // Telemetry's errors.
   double position_bias_m = 0.0;  // Sigma of the shared error.
   double position_white_m = 0.0;
@@ -37,7 +41,16 @@ struct SyntheticSortie {
   std::vector<Homography> world_from_scene;
   std::vector<double> scene_gain, scene_offset;
   double gsd_m = 0.0;
+  double focal_px = 0.0;
+
+  // Where the true lens shows what a pinhole would show at `u`, and back.
+  Eigen::Vector2d Distorted(const Eigen::Vector2d& u, double k1) const;
+  Eigen::Vector2d Undistorted(const Eigen::Vector2d& u, double k1) const;
 };
+
+// Observations of a point of the true ground, in the frames among `frames` that see it, `sigma_px` off along each axis.
+std::vector<ControlObservation> ObserveControl(const SyntheticOptions& options, const SyntheticSortie& sortie, const std::string& name,
+                                               const Eigen::Vector2d& place, double sigma_px);
 
 SyntheticSortie MakeSortie(const SyntheticOptions& options);
 
