@@ -40,7 +40,7 @@ class RunFixture {
   TempDir folder_;
 };
 
-// Name -> bytes of all files in `folder` (not its subfolders).
+// Name -> bytes of all files in `folder` (not its subfolders); of a report without its table of times, which no two runs share.
 std::map<std::string, std::string> FilesIn(const std::filesystem::path& folder);
 std::vector<std::string> NamesIn(const std::filesystem::path& folder);
 
