@@ -68,7 +68,8 @@ TEST(SortieSpec, NamesPlaceAndNearestNameOfAnUnknownFieldInJson) {
 
 TEST(SortieSpec, ListsTheFieldsWhenNoneIsNear) {
   EXPECT_EQ(ErrorOf("mosaic { zebra: 3 }", "s.textproto"),
-            "s.textproto:1:10: unknown field 'zebra' in trem.v1.Mosaic; it has gsd, crs, tile_px, estimator, compression, pixel_type, bounds, cutline_path, baseline");
+            "s.textproto:1:10: unknown field 'zebra' in trem.v1.Mosaic; it has gsd, crs, tile_px, estimator, compression, pixel_type, "
+            "bounds, cutline_path, baseline");
 }
 
 TEST(SortieSpec, ListsTheValuesOfAnEnumeration) {
