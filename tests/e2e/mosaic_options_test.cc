@@ -80,16 +80,22 @@ TEST_F(MosaicOptionsTest, AnUncoveredMosaicIsDoneInPart) {
   const fs::path first = fixture_.NewFolder("first");
   ASSERT_EQ(Run(first, {"--quiet"}).exit_code, 0);
   const std::vector<double> box = Json(first / "town.stac.json")["properties"]["proj:bbox"];
-  const std::vector<double> corners = Json(first / "town.stac.json")["bbox"];
-  // A sliver of a cutline at the rectangle's very corner, which no turned scene fills.
+  // The outline's northernmost point is its upper left corner: the fixture lies east of its zone's central meridian.
+  const std::vector<std::vector<double>> ring = Json(first / "town.stac.json")["geometry"]["coordinates"][0];
+  std::vector<double> corner = ring[0];
+  for (const std::vector<double>& point : ring) {
+    if (point[1] > corner[1]) corner = point;
+  }
+  // A cutline of a few pixels there, which no turned scene fills.
   const fs::path sliver = fixture_.folder() / "sliver.geojson";
-  const double e = 1e-9;
-  WriteFileContents(
-      sliver,
-      nlohmann::json({{"type", "Polygon"},
-                      {"coordinates",
-                       {{{corners[0], corners[3]}, {corners[0] + e, corners[3]}, {corners[0], corners[3] - e}, {corners[0], corners[3]}}}}})
-          .dump());
+  const double e = 2e-6;
+  WriteFileContents(sliver, nlohmann::json({{"type", "Polygon"},
+                                            {"coordinates",
+                                             {{{corner[0] + e, corner[1] - e},
+                                               {corner[0] + 2 * e, corner[1] - e},
+                                               {corner[0] + e, corner[1] - 2 * e},
+                                               {corner[0] + e, corner[1] - e}}}}})
+                                .dump());
   const fs::path second = fixture_.NewFolder("second");
   const Completed run =
       Run(second, {"--cutline", sliver.string(), "--json", "--quiet", "--bounds",
