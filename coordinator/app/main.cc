@@ -59,18 +59,23 @@ struct CommandLine {
 void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--state", options->state_folder, "Folder of the event log; created when missing")->required();
   app->add_option("--store", options->store_folder, "Folder of the artefact store, shared with workers and clients")->required();
-  app->add_option("--bind", options->endpoint, "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one); with --key any address, tcp://*:PORT")->required();
+  app->add_option("--bind", options->endpoint,
+                  "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one); with --key any address, tcp://*:PORT")
+      ->required();
   app->add_option("--data-bind", options->data_endpoint,
                   "Endpoint of the data lane, for those that do not share the store; none: no such lane. Default: beside --bind, "
                   "on any free port");
-  app->add_option("--store-bytes-max", options->data.store_bytes_max, "Refuse what would make the store larger on the data lane (0: no limit)")
+  app->add_option("--store-bytes-max", options->data.store_bytes_max,
+                  "Refuse what would make the store larger on the data lane (0: no limit)")
       ->capture_default_str();
-  app->add_option("--key", options->key_path, "Secret key file of this coordinator (`trem keys`); then only peers with an allowed key get in");
+  app->add_option("--key", options->key_path,
+                  "Secret key file of this coordinator (`trem keys`); then only peers with an allowed key get in");
   app->add_option("--allow", options->allow_folder, "Folder of the .pub files of all keys that are let in; changes take effect at once");
   app->add_option("--connections-max", options->connections_max, "Further connections are closed")
       ->check(CLI::Range(1, 1'000'000))
       ->capture_default_str();
-  app->add_option("--ready-file", options->ready_file, "Write the endpoint, with its real port, and the --http address to this file once bound");
+  app->add_option("--ready-file", options->ready_file,
+                  "Write the endpoint, with its real port, and the --http address to this file once bound");
   app->add_option("--log-level", options->log_level, "trace, debug, info, warn, error or off")->capture_default_str();
   app->add_option("--log-format", options->log_format, "text, or json: one object a line")->check(CLI::IsMember({"text", "json"}));
   app->add_option("--http", options->http.address, "Serve /metrics, /healthz and /readyz here, for example 127.0.0.1:9411 (port 0: any)");
@@ -87,13 +92,18 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--user-tasks-max", options->shell.scheduler.user_tasks_max,
                   "Tasks that one user may have running at once; more wait (0: no limit)")
       ->capture_default_str();
+  app->add_option("--outages-max", options->shell.scheduler.outages_max,
+                  "A task that finds a disk full or a mount gone so often is given up; waits between attempts grow to a minute")
+      ->check(CLI::Range(1U, 1000U))
+      ->capture_default_str();
   app->add_option("--hedge-factor", options->shell.scheduler.hedge_factor,
                   "A task that takes so many times its stage's mean gets a second attempt on an idle worker (0: never)")
       ->check(CLI::Range(0.0, 1000.0))
       ->capture_default_str();
   app->footer(
       "Examples:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7411\n"
-      "  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind 'tcp://*:7411' --key coordinator.key --allow allowed/");
+      "  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind 'tcp://*:7411' --key coordinator.key --allow "
+      "allowed/");
 }
 
 // PR_SET_PDEATHSIG asks for SIGTERM when the parent ends; a parent that ended before that is noticed by its changed id.

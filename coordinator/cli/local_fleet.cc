@@ -56,8 +56,11 @@ Result<std::unique_ptr<LocalFleet>> LocalFleet::Start(const LocalFleetOptions& o
   const fs::path& work = options.work_folder;
   for (const char* folder : {"state", "store", "logs"}) TREM_RETURN_IF_ERROR(MakeDirectories(work / folder));
   TREM_RETURN_IF_ERROR(fleet->MakeSocketFolder());
-  fleet->AddSlot("coordinator", {(options.program_folder / "trem-coordinator").string(), "--state", (work / "state").string(), "--store",
-                                 (work / "store").string(), "--bind", fleet->endpoint_, "--data-bind", "none"});
+  fleet->AddSlot("coordinator",
+                 {(options.program_folder / "trem-coordinator").string(), "--state", (work / "state").string(), "--store",
+                  (work / "store").string(), "--bind", fleet->endpoint_, "--data-bind", "none",
+                  // Someone waits before the terminal and resumes with the same command: a full disk is told within a minute.
+                  "--outages-max", "3"});
   for (int i = 1; i <= options.worker_count; ++i) {
     fleet->AddSlot("worker-" + std::to_string(i), {(options.program_folder / "trem-worker").string(), "serve", "--coordinator",
                                                    fleet->endpoint_, "--store", (work / "store").string()});
