@@ -22,6 +22,7 @@
 #include "mosaic/base/check.h"
 #include "mosaic/base/digest.h"
 #include "mosaic/base/rng.h"
+#include "tests/unit/coordinator/scheduling/fake_tasks.h"
 
 namespace trem {
 namespace {
@@ -37,19 +38,6 @@ double ResidentMiB() {
   double total = 0.0, resident = 0.0;
   file >> total >> resident;
   return resident * static_cast<double>(::sysconf(_SC_PAGESIZE)) / (1 << 20);
-}
-
-v1::Sortie MakeSortie(const std::string& name) {
-  v1::Sortie sortie;
-  sortie.set_name(name);
-  sortie.mutable_source()->set_path("/data/" + name);
-  sortie.mutable_tre()->set_ratio(3);
-  sortie.mutable_windows()->set_roi_px(60);
-  sortie.mutable_windows()->set_roi_overlap_px(10);
-  sortie.mutable_windows()->set_frames(10);
-  sortie.mutable_windows()->set_frame_overlap(2);
-  sortie.mutable_mosaic()->set_tile_px(512);
-  return sortie;
 }
 
 // Two ROIs x 500 ranges of frames; an ENHANCE gives its window and four scenes.
@@ -112,7 +100,7 @@ class World {
   }
   void Submit(std::size_t number) {
     const std::string name = "job-" + std::to_string(number);
-    Step(SubmitJobEvent{name, MakeSortie(name), "user-" + std::to_string(number % 20), static_cast<int>(number % 3)});
+    Step(SubmitJobEvent{name, testing::FakeSortie(name), "user-" + std::to_string(number % 20), static_cast<int>(number % 3)});
   }
 
   Scheduler scheduler;

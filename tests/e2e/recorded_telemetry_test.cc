@@ -30,10 +30,7 @@ std::vector<std::string> Cells(const std::string& text) {
 
 TEST(RecordedTelemetry, TheMosaicOfAKlvRecordingLiesWithinFiveMetresOfItsEmbeddedCorners) {
   const std::optional<fs::path> data = TestDataDir();
-  if (!data) {
-    std::cout << "skipped: the shared sample data are not on this machine (TREM_TEST_DATA names their folder)\n";
-    GTEST_SKIP();
-  }
+  if (!data) GTEST_SKIP() << "no sample data (../shared/data or TREM_TEST_DATA)";
   const RunFixture fixture;
   const fs::path out = fixture.NewFolder("out");
   const std::string recording = (*data / "fmv/aphill_short.ts").string();

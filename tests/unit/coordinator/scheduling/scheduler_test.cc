@@ -380,6 +380,19 @@ TEST(SchedulerTest, KeepsASharedTaskInTheQueuePlaceOfTheJobThatStillWantsIt) {
   EXPECT_EQ(next.task.sortie().name(), "leg") << "b was submitted before c";
 }
 
+TEST(SchedulerTest, TakesAFailedJobUpAgainWhenItIsSubmittedAgainAndReusesWhatIsDone) {
+  Bench bench;
+  bench.Hello("w1", {}, 8);
+  for (const DispatchEffect& enhance : Only<DispatchEffect>(bench.Done(OnlyDispatch(bench.Submit("job"))))) {
+    bench.Fail(enhance, StatusCode::kInvalidInput, "singular");
+  }
+  ASSERT_EQ(bench.Status("job").state(), v1::JOB_FAILED);
+  const auto again = bench.RunAll(bench.Submit("job"));
+  ASSERT_FALSE(again.empty());
+  for (const DispatchEffect& dispatch : again) EXPECT_NE(TitleOf(dispatch), "INGEST") << "the source need not be read again";
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_DONE);
+}
+
 TEST(SchedulerTest, TakesACancelledJobUpAgainWhenItIsSubmittedAgainAndReusesWhatIsDone) {
   Bench bench;
   bench.Hello("w1");

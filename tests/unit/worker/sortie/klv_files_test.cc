@@ -22,12 +22,9 @@ using ::testing::Contains;
 using ::testing::HasSubstr;
 using ::testing::Property;
 
-#define SKIP_WITHOUT(data)                                                                              \
-  const std::optional<std::filesystem::path> data = testing::TestDataDir();                             \
-  if (!data.has_value()) {                                                                              \
-    std::cout << "skipped: no shared test data beside the source tree and TREM_TEST_DATA is not set\n"; \
-    GTEST_SKIP() << "no shared test data";                                                              \
-  }
+#define SKIP_WITHOUT(data)                                                  \
+  const std::optional<std::filesystem::path> data = testing::TestDataDir(); \
+  if (!data.has_value()) GTEST_SKIP() << "no sample data (../shared/data or TREM_TEST_DATA)"
 
 std::vector<KlvSet> ReadSets(const std::string& path) {
   std::vector<KlvSet> sets;
@@ -42,7 +39,7 @@ std::vector<KlvSet> ReadSets(const std::string& path) {
 }
 
 TEST(KlvFiles, EveryTagThatIsReadHasTheReferenceDecodersValue) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   std::ifstream file(*data / "fmv/video_stream_klv.json");
   const nlohmann::json reference = nlohmann::json::parse(file);
   for (const char* name : {"h264_klv.ts", "mpeg2_klv.ts"}) {
@@ -74,7 +71,7 @@ TEST(KlvFiles, EveryTagThatIsReadHasTheReferenceDecodersValue) {
 }
 
 TEST(KlvFiles, TheAuditFindsAbsoluteAzimuthFromGridNorthInTheFortAPHillClips) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   for (const char* name : {"aphill_short.ts", "aphill_klv_10s.ts"}) {
     const Result<KlvTelemetry> klv = ReadKlvTelemetry((*data / "fmv" / name).string());
     ASSERT_TRUE(klv.ok()) << klv.status().message();
@@ -97,7 +94,7 @@ TEST(KlvFiles, TheAuditFindsAbsoluteAzimuthFromGridNorthInTheFortAPHillClips) {
 }
 
 TEST(KlvFiles, OfSeveralStreamsTheOneWithPosesIsChosenAndAnEmptyOneIsNamed) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   const Result<KlvTelemetry> klv = ReadKlvTelemetry((*data / "fmv/h265_tricky_klv.ts").string());
   ASSERT_TRUE(klv.ok());
   EXPECT_EQ(klv->chosen, 1);
@@ -108,7 +105,7 @@ TEST(KlvFiles, OfSeveralStreamsTheOneWithPosesIsChosenAndAnEmptyOneIsNamed) {
 }
 
 TEST(KlvFiles, AVideoWithoutKlvHasNone) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   const Result<KlvTelemetry> klv = ReadKlvTelemetry((*data / "fmv/h264_no_klv.ts").string());
   ASSERT_TRUE(klv.ok());
   EXPECT_EQ(klv->chosen, -1);
@@ -117,7 +114,7 @@ TEST(KlvFiles, AVideoWithoutKlvHasNone) {
 }
 
 TEST(KlvFiles, APacketWithABadChecksumIsNotUsed) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   for (const auto& [name, bad] : {std::pair("DynamicConstantMISMMSPacketData.bin", 1), std::pair("DynamicOnlyMISMMSPacketData.bin", 0)}) {
     const std::string bytes = testing::FileContents(*data / "klv" / name);
     KlvStreamReader reader;
@@ -129,7 +126,7 @@ TEST(KlvFiles, APacketWithABadChecksumIsNotUsed) {
 }
 
 TEST(KlvFiles, TelemetryThatContradictsItselfIsRefusedWithTheReason) {
-  SKIP_WITHOUT(data)
+  SKIP_WITHOUT(data);
   v1::Sortie sortie;
   sortie.mutable_source()->set_path((*data / "fmv/h264_klv.ts").string());
   const Result<FoundTelemetry> found = FindTelemetry(sortie, 160, 120);

@@ -178,10 +178,7 @@ TEST_F(TelemetrySources, SubtitlesOfAFilmAreLeftWithAWarning) {
 // heading has to agree with what telemetry says, within the receiver's error from picture to picture (1 m) and 2 % of the focal length.
 TEST(SharedPhotographs, ArePlacedWithTheRightScaleHeadingAndOverlap) {
   const auto data = testing::TestDataDir();
-  if (!data.has_value()) {
-    std::cout << "skipped: no shared test data beside the source tree and TREM_TEST_DATA is not set\n";
-    GTEST_SKIP();
-  }
+  if (!data.has_value()) GTEST_SKIP() << "no sample data (../shared/data or TREM_TEST_DATA)";
   v1::Sortie sortie;
   sortie.mutable_source()->set_path((*data / "exif").string());
   const auto manifest = IngestSortie(sortie, {});

@@ -6,7 +6,6 @@
 #include <gtest/gtest.h>
 
 #include <exiv2/exiv2.hpp>
-#include <iostream>
 
 #include "tests/support/paths.h"
 #include "worker/telemetry/text_scan.h"
@@ -98,10 +97,7 @@ TEST(PhotoMetadata, DamageLeavesValuesAbsent) {
 
 TEST(PhotoMetadata, ReadsTheSharedPhotographs) {
   const auto data = testing::TestDataDir();
-  if (!data.has_value()) {
-    std::cout << "skipped: no shared test data beside the source tree and TREM_TEST_DATA is not set\n";
-    GTEST_SKIP();
-  }
+  if (!data.has_value()) GTEST_SKIP() << "no sample data (../shared/data or TREM_TEST_DATA)";
   const auto metadata = ReadPhotoMetadata((*data / "exif/DJI_0026.JPG").string(), 4000, 2250);
   ASSERT_TRUE(metadata.ok()) << metadata.status().message();
   EXPECT_NEAR(metadata->record.sensor->latitude_deg, 46.8426903, 1e-6);

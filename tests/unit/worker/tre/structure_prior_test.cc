@@ -91,7 +91,7 @@ TEST(StructurePrior, TheGradientIsThatOfTheEnergy) {
       for (int y = 0; y < 11; ++y) {
         for (int x = 0; x < 14; ++x) {
           const double slope = region.Contains(x, y) ? NumericSlope(prior, scene, region, x, y) : 0.0;
-          ASSERT_NEAR(gradient.at(x, y), 1.0 + kWeight * slope, 4e-3)
+          ASSERT_NEAR(gradient.at(x, y), 1.0 + kWeight * slope, 2e-3)
               << x << ", " << y << " of " << ToString(region) << " kind " << static_cast<int>(kind);
         }
       }
