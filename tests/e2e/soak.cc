@@ -4,10 +4,12 @@
 #include <sys/mount.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
+#include <utility>
 
 namespace trem::testing {
 namespace {
@@ -93,35 +95,58 @@ void Soak::FillTheDisk() {
   Count("disk filled");
 }
 
-void Soak::Disturb() {
+void Soak::Disturb(Disturbance kind) {
   const auto index = static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.worker_count)));
   Subprocess& worker = *workers_[static_cast<std::size_t>(index)];
-  const double choice = rng_.Uniform();
-  if (choice < 0.45) {
-    worker.Signal(SIGKILL);
-    (void)worker.Wait(seconds(10));
-    StartWorker(index);
-    Count("worker killed");
-  } else if (choice < 0.62) {
-    coordinator_->Signal(SIGKILL);
-    (void)coordinator_->Wait(seconds(10));
-    StartCoordinator();
-    Count("coordinator killed");
-  } else if (choice < 0.76) {
-    const std::vector<pid_t> children = worker.Descendants();
-    if (children.empty()) return;
-    ::kill(children[0], SIGKILL);
-    Count("compute process killed");
-  } else if (choice < 0.86) {
-    worker.Signal(SIGSTOP);
-    Sleep(static_cast<int>(200 + rng_.UniformIndex(2'500)));
-    worker.Signal(SIGCONT);
-    Count("worker stopped for a while");
-  } else if (choice < 0.96) {
-    DamageAnArtefact();
-  } else if (can_fill_disk_) {
-    FillTheDisk();
+  switch (kind) {
+    case Disturbance::kKillWorker:
+      worker.Signal(SIGKILL);
+      (void)worker.Wait(seconds(10));
+      StartWorker(index);
+      return Count("worker killed");
+    case Disturbance::kKillCoordinator:
+      coordinator_->Signal(SIGKILL);
+      (void)coordinator_->Wait(seconds(10));
+      StartCoordinator();
+      return Count("coordinator killed");
+    case Disturbance::kKillCompute: {
+      const std::vector<pid_t> children = worker.Descendants();
+      if (children.empty()) return;
+      ::kill(children[0], SIGKILL);
+      return Count("compute process killed");
+    }
+    case Disturbance::kStopWorker:
+      worker.Signal(SIGSTOP);
+      Sleep(static_cast<int>(200 + rng_.UniformIndex(2'500)));
+      worker.Signal(SIGCONT);
+      return Count("worker stopped for a while");
+    case Disturbance::kDamageArtefact:
+      return DamageAnArtefact();
+    case Disturbance::kFillDisk:
+      if (can_fill_disk_) FillTheDisk();
+      return;
   }
+}
+
+Soak::Disturbance Soak::NextDisturbance() {
+  if (deck_.empty()) {
+    // How often each comes in a round; a round holds every kind, so that a job that ends early has met all of them.
+    constexpr std::array<std::pair<Disturbance, int>, 6> kRound = {{{Disturbance::kKillWorker, 6},
+                                                                    {Disturbance::kKillCoordinator, 3},
+                                                                    {Disturbance::kKillCompute, 2},
+                                                                    {Disturbance::kStopWorker, 2},
+                                                                    {Disturbance::kDamageArtefact, 2},
+                                                                    {Disturbance::kFillDisk, 1}}};
+    // The first round is one of each.
+    const bool is_first = counts_.empty();
+    for (const auto& [kind, times] : kRound) deck_.insert(deck_.end(), is_first ? 1 : static_cast<std::size_t>(times), kind);
+    for (std::size_t left = deck_.size(); left > 1; --left) {
+      std::swap(deck_[left - 1], deck_[rng_.UniformIndex(static_cast<std::uint32_t>(left))]);
+    }
+  }
+  const Disturbance next = deck_.back();
+  deck_.pop_back();
+  return next;
 }
 
 // "running", "done", ...; empty when nobody answers.
@@ -148,6 +173,22 @@ bool Soak::AwaitEnd(std::chrono::seconds patience) {
   return false;
 }
 
+bool Soak::AwaitWorkers(std::chrono::seconds patience) const {
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  while (std::chrono::steady_clock::now() < deadline) {
+    const auto json = nlohmann::json::parse(Trem({"workers", "--json"}).stdout_text, nullptr, false);
+    const auto is_there = [&](const auto& worker) {
+      const std::string pid = "-" + std::to_string(worker->pid()) + "-";
+      return std::any_of(json.begin(), json.end(), [&](const auto& listed) {
+        return listed["worker_id"].template get<std::string>().find(pid) != std::string::npos;
+      });
+    };
+    if (json.is_array() && std::all_of(workers_.begin(), workers_.end(), is_there)) return true;
+    Sleep(200);
+  }
+  return false;
+}
+
 std::vector<std::string> Soak::Run() {
   // Slow enough for long sorties to stay inside the truth.
   const fs::path sortie = fixture_.SimulateSortie("sortie", options_.frame_count, {"--speed-px", "1"}) / "sortie.textproto";
@@ -169,7 +210,7 @@ std::vector<std::string> Soak::Run() {
   for (; disturbances < options_.disturbance_count; ++disturbances) {
     if (disturbances % 8 == 7 && StateOfJob() == "done") break;
     Sleep(options_.pause_ms_max / 8 + static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.pause_ms_max))));
-    Disturb();
+    Disturb(NextDisturbance());
   }
   std::vector<std::string> faults;
   if (!AwaitEnd(seconds(600))) faults.push_back("the job does not end although nothing disturbs it any more");
@@ -181,10 +222,13 @@ std::vector<std::string> Soak::Run() {
   if (fetched.exit_code != 0) faults.push_back("fetch failed: " + fetched.stderr_text);
   if (FilesIn(out) != FilesIn(peace)) faults.push_back("the published files are not those of the undisturbed run");
 
+  // One that was started a moment ago has no handler yet: the signal would end it as if it had failed.
+  if (!AwaitWorkers(seconds(30))) faults.push_back("not every worker has found back: " + Trem({"workers"}).stdout_text);
   for (const auto& worker : workers_) worker->Signal(SIGTERM);
   for (const auto& worker : workers_) {
     const auto exit = worker->Wait(seconds(30));
-    if (!exit || exit->code != 0) faults.push_back("a worker did not leave: " + worker->Stderr());
+    if (!exit) faults.push_back("a worker did not leave within 30 s: " + worker->Stderr());
+    if (exit && exit->code != 0) faults.push_back("a worker left with exit code " + std::to_string(exit->code) + ": " + worker->Stderr());
     if (!worker->DescendantsAfter(seconds(5)).empty()) faults.push_back("a worker left a compute process behind");
   }
   coordinator_->Signal(SIGTERM);

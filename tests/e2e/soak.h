@@ -44,11 +44,14 @@ class Soak {
   void StartCoordinator();
   void StartWorker(int index);
   Completed Trem(std::vector<std::string> arguments) const;
-  void Disturb();
+  enum class Disturbance { kKillWorker, kKillCoordinator, kKillCompute, kStopWorker, kDamageArtefact, kFillDisk };
+  Disturbance NextDisturbance();
+  void Disturb(Disturbance kind);
   void DamageAnArtefact();
   void FillTheDisk();
   std::string StateOfJob();
   bool AwaitEnd(std::chrono::seconds patience);
+  bool AwaitWorkers(std::chrono::seconds patience) const;  // True once the coordinator lists every worker process that runs.
   void Count(const std::string& what) { ++counts_[what]; }
 
   SoakOptions options_;
@@ -61,6 +64,7 @@ class Soak {
   std::unique_ptr<Subprocess> coordinator_;
   std::vector<std::unique_ptr<Subprocess>> workers_;
   std::map<std::string, int> counts_;
+  std::vector<Disturbance> deck_;  // What is left of this round; taken from the back.
   int task_count_ = 0;
   bool is_exporting_ = false;
 };
