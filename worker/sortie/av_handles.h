@@ -25,6 +25,10 @@ using AvCodecPtr = std::unique_ptr<AVCodecContext, AvDeleter>;
 using AvInputPtr = std::unique_ptr<AVFormatContext, AvDeleter>;
 using AvFilterGraphPtr = std::unique_ptr<AVFilterGraph, AvDeleter>;
 
+// Opens the file at `path` as one of the containers that hold video themselves; an error code of libav's otherwise. Playlists (HLS, concat,
+// image patterns) are none of them: they would have this process read files that nobody has named.
+int OpenContainer(const std::string& path, AVFormatContext** context);
+
 inline std::string AvErrorText(int error) {
   char text[AV_ERROR_MAX_STRING_SIZE] = {};
   av_strerror(error, text, sizeof(text));

@@ -13,11 +13,7 @@ Result<DataStreams> ReadDataPackets(
   std::error_code error_code;
   if (!std::filesystem::exists(path, error_code)) return NotFound(path + ": no such file");
   AVFormatContext* context = nullptr;
-  AVDictionary* options = nullptr;
-  // As VideoStream: nothing but local files.
-  av_dict_set(&options, "protocol_whitelist", "file", 0);
-  int error = avformat_open_input(&context, ("file:" + path).c_str(), nullptr, &options);
-  av_dict_free(&options);
+  int error = OpenContainer(path, &context);
   if (error < 0) return InvalidInput(path + ": not a container that can be read (" + AvErrorText(error) + ")");
   const AvInputPtr input(context);
   error = avformat_find_stream_info(input.get(), nullptr);

@@ -37,11 +37,7 @@ Result<std::unique_ptr<VideoStream>> VideoStream::Open(const std::string& path, 
 
 Status VideoStream::OpenInput() {
   AVFormatContext* context = nullptr;
-  // "file:" keeps names with a colon, and playlists that point elsewhere, from being anything but local files.
-  AVDictionary* options = nullptr;
-  av_dict_set(&options, "protocol_whitelist", "file", 0);
-  const int error = avformat_open_input(&context, ("file:" + path_).c_str(), nullptr, &options);
-  av_dict_free(&options);
+  const int error = OpenContainer(path_, &context);
   if (error < 0) return NotAVideo(path_, AvErrorText(error));
   input_.reset(context);
   const int info_error = avformat_find_stream_info(input_.get(), nullptr);

@@ -155,6 +155,19 @@ TEST(VideoReader, NamesAFileThatIsNoVideo) {
   EXPECT_EQ(VideoStream::Open((folder.path() / "none.mp4").string(), false).status().code(), StatusCode::kNotFound);
 }
 
+// A playlist would lead to files that the checks of a sortie's paths have not seen.
+TEST(VideoReader, FollowsNoPlaylist) {
+  const testing::TempDir folder;
+  testing::WriteVideo(folder.path() / "secret.ts", MovingFrames(30),
+                      TestVideo{.encoder = "mpeg2video", .pixel_format = "yuv420p", .frame_rate_hz = 25});
+  ASSERT_TRUE(VideoStream::Open((folder.path() / "secret.ts").string(), false).ok());
+  std::ofstream(folder.path() / "leg.m3u8") << "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:1.2,\nsecret.ts\n#EXT-X-ENDLIST\n";
+  std::ofstream(folder.path() / "leg.ffconcat") << "ffconcat version 1.0\nfile secret.ts\n";
+  for (const char* name : {"leg.m3u8", "leg.ffconcat"}) {
+    EXPECT_EQ(VideoStream::Open((folder.path() / name).string(), false).status().code(), StatusCode::kInvalidInput) << name;
+  }
+}
+
 TEST(VideoReader, SaysWhichFrameIsNoLongerThere) {
   const testing::TempDir folder;
   const auto path = folder.path() / "v.avi";
