@@ -10,14 +10,16 @@
 #include <filesystem>
 #include <system_error>
 
-#include "mosaic/base/digest.h"
+#include "mosaic/base/file.h"
 
 namespace trem {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr std::size_t kUploadsMax = 1024;
-constexpr std::int64_t kUploadIdleMsMax = 120'000;
+constexpr std::ptrdiff_t kUploadsOfUserMax = 256;
+// So long what has arrived waits for the rest.
+constexpr std::int64_t kUploadIdleMsMax = 3'600'000;
+constexpr std::uint64_t kBytesCheckedMax = std::uint64_t{1} << 30;
 constexpr std::int64_t kForgetIntervalMs = 10'000;
 
 std::int64_t NowMs() {
@@ -72,7 +74,7 @@ ArtefactServer::~ArtefactServer() {
   stop_ = true;
   channel_->Wake();
   if (thread_.joinable()) thread_.join();
-  for (const auto& [key, upload] : uploads_) {
+  for (const auto& [digest, upload] : uploads_) {
     std::error_code ignored;
     fs::remove(upload.path, ignored);
   }
@@ -101,14 +103,14 @@ void ArtefactServer::Serve() {
 Result<v1::Envelope> ArtefactServer::Answer(const RouterChannel::Incoming& incoming) {
   if (!incoming.envelope.ok()) return incoming.envelope.status();
   if (incoming.envelope->has_get_chunk()) return OnGet(incoming.envelope->get_chunk());
-  if (incoming.envelope->has_put_chunk()) return OnPut(incoming.peer, incoming.envelope->put_chunk());
+  if (incoming.envelope->has_put_chunk()) return OnPut(incoming.user, incoming.envelope->put_chunk());
   return InvalidInput("the data lane takes and gives chunks of artefacts; everything else goes to the control lane");
 }
 
 Result<v1::Envelope> ArtefactServer::OnGet(const v1::GetChunk& get) {
   ArtefactRef ref{"", get.sha256(), 0};
   TREM_ASSIGN_OR_RETURN(const fs::path object, store_.Find(get.sha256(), &ref.bytes));
-  if (get.offset() >= ref.bytes && ref.bytes > 0) {
+  if (get.offset() > ref.bytes || (get.offset() == ref.bytes && ref.bytes > 0)) {
     return InvalidInput("artefact " + get.sha256() + " has " + std::to_string(ref.bytes) + " bytes; offset " +
                         std::to_string(get.offset()) + " was asked for");
   }
@@ -127,54 +129,89 @@ Result<v1::Envelope> ArtefactServer::OnGet(const v1::GetChunk& get) {
 }
 
 Status ArtefactServer::CheckRoom(std::uint64_t bytes) const {
-  if (options_.store_bytes_max == 0 || store_bytes_ + bytes <= options_.store_bytes_max) return {};
-  return Exhausted("the artefact store holds " + std::to_string(store_bytes_) + " of at most " + std::to_string(options_.store_bytes_max) +
+  if (options_.store_bytes_max == 0) return {};
+  std::uint64_t taken = store_bytes_;
+  for (const auto& [digest, upload] : uploads_) taken += upload.bytes;
+  if (bytes <= options_.store_bytes_max && taken <= options_.store_bytes_max - bytes) return {};
+  return Exhausted("the artefact store holds " + std::to_string(taken) + " of at most " + std::to_string(options_.store_bytes_max) +
                    " bytes, and " + std::to_string(bytes) + " more would come; raise --store-bytes-max or remove old jobs' work");
 }
 
-Result<v1::Envelope> ArtefactServer::OnPut(const std::string& peer, const v1::PutChunk& put) {
+bool ArtefactServer::IsStored(const v1::PutChunk& put) const {
+  const ArtefactRef ref{"upload", put.sha256(), put.bytes()};
+  // What was damaged here has to be taken in again. A long one is a sortie's input, and reading it would keep everybody else waiting:
+  // its readers check it.
+  return put.bytes() <= kBytesCheckedMax ? store_.Verify(ref).ok() : store_.Locate(ref).ok();
+}
+
+Result<ArtefactServer::Upload*> ArtefactServer::UploadOf(const std::string& user, const v1::PutChunk& put) {
+  if (const auto known = uploads_.find(put.sha256()); known != uploads_.end()) return &known->second;
+  TREM_RETURN_IF_ERROR(CheckRoom(put.bytes()));
+  const auto of_user = std::count_if(uploads_.begin(), uploads_.end(), [&](const auto& entry) { return entry.second.user == user; });
+  if (of_user >= kUploadsOfUserMax) return Exhausted("too many uploads at once; try again in a while");
+  Upload& upload = uploads_[put.sha256()];
+  upload.path = store_.NewTemporaryPath(".upload");
+  upload.user = user;
+  upload.bytes = put.bytes();
+  upload.digest = std::make_unique<Sha256>();
+  return &upload;
+}
+
+Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::PutChunk& put) {
   v1::Envelope answer;
   v1::PutReply* reply = answer.mutable_put_reply();
   reply->set_sha256(put.sha256());
-  const ArtefactRef ref{"upload", put.sha256(), put.bytes()};
-  const UploadKey key(peer, put.sha256());
-  const auto known = uploads_.find(key);
-  if (known == uploads_.end() && store_.Locate(ref).ok()) {
+  const auto known = uploads_.find(put.sha256());
+  if (known == uploads_.end() && IsStored(put)) {
     reply->set_next_offset(put.bytes());
     reply->set_is_stored(true);
     return answer;
   }
-  if (known == uploads_.end()) {
+  // Nothing is kept for a mere question.
+  const bool is_question = put.data().empty() && put.bytes() > 0;
+  if (known == uploads_.end() && is_question) {
     TREM_RETURN_IF_ERROR(CheckRoom(put.bytes()));
-    if (uploads_.size() >= kUploadsMax) return Exhausted("too many uploads at once; try again in a while");
+    return answer;
   }
-  Upload& upload = uploads_[key];
-  if (upload.path.empty()) upload.path = store_.NewTemporaryPath(".upload");
-  upload.used_at_ms = NowMs();
-  Status status = put.offset() == upload.next_offset ? Append(put, &upload) : Status();
-  reply->set_next_offset(upload.next_offset);
-  if (status.ok() && upload.next_offset == put.bytes()) {
-    const Result<ArtefactRef> stored = store_.PutFile("upload", upload.path);
-    status = stored.status();
-    if (stored.ok() && stored->sha256 != put.sha256()) status = Corrupt("an upload has digest " + stored->sha256 + "; announced was " + put.sha256());
+  TREM_ASSIGN_OR_RETURN(Upload* const upload, UploadOf(user, put));
+  if (upload->bytes != put.bytes()) {
+    return InvalidInput("artefact " + put.sha256() + " was announced with " + std::to_string(upload->bytes) + " bytes, and now with " +
+                        std::to_string(put.bytes()));
+  }
+  upload->used_at_ms = NowMs();
+  Status status = put.offset() == upload->next_offset ? Append(put, upload) : Status();
+  reply->set_next_offset(upload->next_offset);
+  const bool is_complete = upload->next_offset == upload->bytes;
+  if (status.ok() && is_complete) {
+    status = Finish(put.sha256(), upload);
     reply->set_is_stored(status.ok());
-    store_bytes_ += status.ok() ? put.bytes() : 0;
-    uploads_.erase(key);
-  } else if (!status.ok()) {
+  }
+  if (!status.ok() || is_complete) {
     std::error_code ignored;
-    fs::remove(upload.path, ignored);
-    uploads_.erase(key);
+    fs::remove(upload->path, ignored);
+    uploads_.erase(put.sha256());
   }
   if (!status.ok()) return status;
   return answer;
 }
 
+Status ArtefactServer::Finish(const std::string& sha256, Upload* upload) {
+  if (const std::string found = upload->digest->FinishHex(); found != sha256) {
+    return Corrupt("an upload has digest " + found + "; announced was " + sha256);
+  }
+  if (upload->bytes == 0) TREM_RETURN_IF_ERROR(WriteFileAtomically(upload->path, ""));
+  TREM_RETURN_IF_ERROR(store_.PutHashed("upload", sha256, upload->path).status());
+  store_bytes_ += upload->bytes;
+  return {};
+}
+
 Status ArtefactServer::Append(const v1::PutChunk& put, Upload* upload) {
-  if (put.data().empty() && put.bytes() > 0) return {};  // A question.
+  if (put.data().empty() && put.bytes() > 0) return {};       // A question.
   if (Sha256Hex(put.data()) != put.data_sha256()) return {};  // Damaged on its way: the reply asks for it again.
   TREM_RETURN_IF_ERROR(TransferAll(upload->path, O_WRONLY | O_CREAT, put.data().size(), [&](int fd, std::size_t done) {
     return ::pwrite(fd, put.data().data() + done, put.data().size() - done, static_cast<off_t>(put.offset() + done));
   }));
+  upload->digest->Update(put.data());
   upload->next_offset += put.data().size();
   bytes_received_ += put.data().size();
   return {};

@@ -26,6 +26,10 @@ bool Holds(const fs::path& path, std::uint64_t bytes, const std::string& sha256)
   return found.ok() && *found == sha256;
 }
 
+Status WrongDigest(const ArtefactRef& ref, const fs::path& object, const std::string& found) {
+  return Corrupt("artefact " + ref.name + " (" + object.string() + ") has digest " + found + "; expected " + ref.sha256);
+}
+
 }  // namespace
 
 Result<ArtefactStore> ArtefactStore::Open(const fs::path& root) {
@@ -56,17 +60,25 @@ Status ArtefactStore::FetchMissing(const ArtefactRef& ref) const {
     fs::remove(partial, error);
     return {};
   }
-  TREM_RETURN_IF_ERROR(backing_->Fetch(ref, partial));
-  TREM_ASSIGN_OR_RETURN(const std::string found, Sha256HexOfFile(partial));
-  if (found != ref.sha256) {
-    fs::remove(partial, error);
-    return Corrupt("artefact " + ref.name + " arrived with digest " + found + "; expected " + ref.sha256);
+  for (;;) {
+    const bool is_resumed = fs::file_size(partial, error) > 0 && !error;
+    TREM_RETURN_IF_ERROR(backing_->Fetch(ref, partial));
+    TREM_ASSIGN_OR_RETURN(const std::string found, Sha256HexOfFile(partial));
+    if (found == ref.sha256) break;
+    // Emptied, not removed: whoever waits for the lock holds this very file. What an earlier try left may have been the damaged part.
+    fs::resize_file(partial, 0, error);
+    if (!is_resumed || error) return Corrupt("artefact " + ref.name + " arrived with digest " + found + "; expected " + ref.sha256);
   }
   TREM_RETURN_IF_ERROR(MakeDirectories(object.parent_path()));
   return PublishFile(partial, object);
 }
 
-Status ArtefactStore::Trim(std::uint64_t bytes_max) const {
+bool ArtefactStore::Forget(const ArtefactRef& ref) const {
+  std::error_code ignored;
+  return backing_ && fs::remove(ObjectPath(ref.sha256), ignored);
+}
+
+Status ArtefactStore::Trim(std::uint64_t bytes_max, std::chrono::seconds spared) const {
   struct Object {
     fs::file_time_type used_at;
     std::uint64_t bytes;
@@ -84,8 +96,9 @@ Status ArtefactStore::Trim(std::uint64_t bytes_max) const {
   }
   if (error) return FromErrno("cannot list " + (root_ / "objects").string(), error.value());
   std::sort(objects.begin(), objects.end(), [](const Object& a, const Object& b) { return a.used_at < b.used_at; });
+  const auto spared_from = fs::file_time_type::clock::now() - spared;
   for (const Object& object : objects) {
-    if (total <= bytes_max) break;
+    if (total <= bytes_max || object.used_at > spared_from) break;
     if (fs::remove(object.path, error)) total -= object.bytes;
   }
   return {};
@@ -100,6 +113,10 @@ fs::path ArtefactStore::ObjectPath(const std::string& sha256) const { return roo
 
 Result<ArtefactRef> ArtefactStore::PutFile(const std::string& name, const fs::path& temporary) const {
   TREM_ASSIGN_OR_RETURN(const std::string sha256, Sha256HexOfFile(temporary));
+  return PutHashed(name, sha256, temporary);
+}
+
+Result<ArtefactRef> ArtefactStore::PutHashed(const std::string& name, const std::string& sha256, const fs::path& temporary) const {
   std::error_code error;
   const std::uint64_t bytes = fs::file_size(temporary, error);
   if (error) return FromErrno("cannot stat " + temporary.string(), error.value());
@@ -150,21 +167,22 @@ Result<fs::path> ArtefactStore::Find(const std::string& sha256, std::uint64_t* b
 }
 
 Result<std::string> ArtefactStore::ReadVerified(const ArtefactRef& ref, std::uint64_t max_bytes) const {
-  TREM_ASSIGN_OR_RETURN(const fs::path object, Locate(ref));
-  TREM_ASSIGN_OR_RETURN(std::string bytes, ReadFile(object, max_bytes));
-  if (const std::string found = Sha256Hex(bytes); found != ref.sha256) {
-    return Corrupt("artefact " + ref.name + " (" + object.string() + ") has digest " + found + "; expected " + ref.sha256);
+  for (bool is_mended = false;; is_mended = true) {
+    TREM_ASSIGN_OR_RETURN(const fs::path object, Locate(ref));
+    TREM_ASSIGN_OR_RETURN(std::string bytes, ReadFile(object, max_bytes));
+    const std::string found = Sha256Hex(bytes);
+    if (found == ref.sha256) return bytes;
+    if (is_mended || !Forget(ref)) return WrongDigest(ref, object, found);
   }
-  return bytes;
 }
 
 Status ArtefactStore::Verify(const ArtefactRef& ref) const {
-  TREM_ASSIGN_OR_RETURN(const fs::path object, Locate(ref));
-  TREM_ASSIGN_OR_RETURN(const std::string found, Sha256HexOfFile(object));
-  if (found != ref.sha256) {
-    return Corrupt("artefact " + ref.name + " (" + object.string() + ") has digest " + found + "; expected " + ref.sha256);
+  for (bool is_mended = false;; is_mended = true) {
+    TREM_ASSIGN_OR_RETURN(const fs::path object, Locate(ref));
+    TREM_ASSIGN_OR_RETURN(const std::string found, Sha256HexOfFile(object));
+    if (found == ref.sha256) return {};
+    if (is_mended || !Forget(ref)) return WrongDigest(ref, object, found);
   }
-  return {};
 }
 
 }  // namespace trem

@@ -116,7 +116,12 @@ Result<std::optional<v1::Envelope>> ArtefactChannel::Receive(const std::string& 
     const Result<std::optional<v1::Envelope>> answer = channel_->Receive(milliseconds(100));
     if (!answer.ok() || !answer->has_value()) continue;
     const v1::Envelope& envelope = **answer;
-    if (envelope.has_error()) return FromReply(envelope.error());
+    if (envelope.has_error()) {
+      // What else was on its way is refused, too, and those answers would be taken for the next artefact's.
+      const Status refusal = FromReply(envelope.error());
+      channel_.reset();
+      return refusal;
+    }
     // Late answers about another artefact are of no use any more.
     if (envelope.chunk().sha256() != sha256 && envelope.put_reply().sha256() != sha256) continue;
     *silences = 0;
@@ -198,6 +203,7 @@ Status ArtefactChannel::Deliver(const ArtefactRef& ref, const fs::path& path) {
       sent = accepted = reply.next_offset();  // The other side lost something.
     } else {
       accepted = reply.next_offset();
+      sent = std::max(sent, accepted);  // Another who has the same artefact may have brought more of it.
     }
   }
 }

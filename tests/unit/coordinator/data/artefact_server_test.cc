@@ -67,7 +67,8 @@ class ArtefactServerTest : public ::testing::Test {
 TEST_F(ArtefactServerTest, CarriesArtefactsOfAnySizeBothWays) {
   const ArtefactStore near = NewCache("near");
   const ArtefactStore far = NewCache("far");
-  for (const std::size_t bytes : {std::size_t{0}, std::size_t{1}, std::size_t{1} << 20, (std::size_t{1} << 20) + 1, std::size_t{20'000'000}}) {
+  for (const std::size_t bytes :
+       {std::size_t{0}, std::size_t{1}, std::size_t{1} << 20, (std::size_t{1} << 20) + 1, std::size_t{20'000'000}}) {
     const std::string content = Noise(bytes);
     const ArtefactRef ref = near.PutBytes("a", content).value();
     EXPECT_TRUE(store_.Verify(ref).ok()) << bytes;
@@ -97,12 +98,79 @@ TEST_F(ArtefactServerTest, GoesOnWhereAFetchBrokeOff) {
   EXPECT_EQ(server_->bytes_sent(), 1'000'000U);
 }
 
-TEST_F(ArtefactServerTest, APartThatIsNotTheArtefactsBeginningIsNoticedAndFetchedAnew) {
+TEST_F(ArtefactServerTest, APartThatIsNotTheArtefactsBeginningIsFetchedAnew) {
   const ArtefactRef ref = store_.PutBytes("a", Noise(3'000'000)).value();
   const ArtefactStore cache = NewCache("cache");
   ASSERT_TRUE(WriteFileAtomically(folder_ / "cache/tmp" / (ref.sha256 + ".part"), std::string(2'000'000, 'x')).ok());
-  EXPECT_EQ(cache.Locate(ref).status().code(), StatusCode::kCorrupt);
-  EXPECT_TRUE(cache.Locate(ref).ok());
+  EXPECT_TRUE(cache.Verify(ref).ok());
+}
+
+TEST_F(ArtefactServerTest, ACacheMendsWhatWasDamagedInIt) {
+  const std::string content = Noise(300'000);
+  const ArtefactRef ref = store_.PutBytes("a", content).value();
+  const ArtefactStore cache = NewCache("cache");
+  const fs::path here = cache.Locate(ref).value();
+  for (const bool whole : {true, false}) {
+    trem::testing::WriteFileContents(here, std::string(content.size(), 'x'));
+    EXPECT_TRUE(whole ? cache.ReadVerified(ref, 1 << 30).value() == content : cache.Verify(ref).ok());
+    EXPECT_TRUE(cache.Verify(ref).ok());
+  }
+}
+
+TEST_F(ArtefactServerTest, WhatWasDamagedInTheStoreIsTakenInAgain) {
+  const std::string content = Noise(300'000);
+  const ArtefactRef ref = store_.PutBytes("a", content).value();
+  trem::testing::WriteFileContents(ObjectOf(ref), std::string(content.size(), 'x'));
+  ASSERT_TRUE(NewCache("maker").PutBytes("a", content).ok());
+  EXPECT_TRUE(store_.Verify(ref).ok());
+}
+
+// Eight requests are on their way when the first is refused; the other seven refusals must not reach the next artefact.
+TEST_F(ArtefactServerTest, ARefusalIsTakenForNoOtherArtefact) {
+  const ArtefactRef there = store_.PutBytes("a", Noise(3'000'000)).value();
+  const ArtefactStore cache = NewCache("cache");
+  for (int i = 0; i < 5; ++i) {
+    const ArtefactRef missing{"b", Sha256Hex("never stored " + std::to_string(i)), 50'000'000};
+    EXPECT_EQ(cache.Locate(missing).status().code(), StatusCode::kNotFound);
+  }
+  EXPECT_TRUE(cache.Verify(there).ok());
+  trem::testing::WriteFileContents(ObjectOf(there), "short");
+  ArtefactRef larger = there;
+  larger.sha256 = Sha256Hex("never stored");
+  EXPECT_EQ(cache.Locate(larger).status().code(), StatusCode::kNotFound);
+}
+
+TEST_F(ArtefactServerTest, AnUploadThatBrokeOffGoesOnOverAnotherConnection) {
+  const std::string content = Noise(10'000'000);
+  int chunks = 0;
+  const auto broken = std::make_shared<ArtefactChannel>(Endpoint("control"), ChannelOptions{});
+  broken->set_on_chunk([&] { return ++chunks < 6; });
+  EXPECT_EQ(ArtefactStore::OpenCache(folder_ / "one", broken)->PutBytes("a", content).status().code(), StatusCode::kCancelled);
+  const ArtefactRef ref = NewCache("two").PutBytes("a", content).value();
+  EXPECT_TRUE(store_.Verify(ref).ok());
+  EXPECT_EQ(server_->bytes_received(), content.size());
+}
+
+TEST_F(ArtefactServerTest, TwoWhoBringTheSameArtefactShareTheWork) {
+  const std::string content = Noise(30'000'000);
+  std::vector<Result<ArtefactRef>> refs(4, Failed("not yet"));
+  std::vector<std::thread> threads;
+  for (std::size_t i = 0; i < refs.size(); ++i) {
+    threads.emplace_back([&, i] { refs[i] = NewCache("cache" + std::to_string(i)).PutBytes("a", content); });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (const Result<ArtefactRef>& ref : refs) EXPECT_TRUE(ref.ok()) << ref.status().message();
+  EXPECT_TRUE(store_.Verify(*refs[0]).ok());
+  EXPECT_EQ(server_->bytes_received(), content.size());
+}
+
+TEST_F(ArtefactServerTest, UploadsThatAreUnderWayCountTowardsTheLimit) {
+  Start({20'000'000});
+  int chunks = 0;
+  const auto broken = std::make_shared<ArtefactChannel>(Endpoint("control"), ChannelOptions{});
+  broken->set_on_chunk([&] { return ++chunks < 6; });
+  EXPECT_FALSE(ArtefactStore::OpenCache(folder_ / "one", broken)->PutBytes("a", Noise(15'000'000)).ok());
+  EXPECT_EQ(NewCache("two").PutBytes("b", Noise(6'000'000)).status().code(), StatusCode::kExhausted);
 }
 
 TEST_F(ArtefactServerTest, SaysThatAnArtefactIsMissingOrDamaged) {
@@ -146,16 +214,27 @@ TEST_F(ArtefactServerTest, ACacheForgetsWhatWasUsedLeastRecently) {
   for (int i = 0; i < 4; ++i) refs.push_back(cache.PutBytes("a", Noise(1000 + static_cast<std::size_t>(i))).value());
   const auto now = fs::file_time_type::clock::now();
   for (std::size_t i = 0; i < refs.size(); ++i) {
-    fs::last_write_time(folder_ / "cache/objects" / refs[i].sha256.substr(0, 2) / refs[i].sha256, now - std::chrono::hours(10 - static_cast<int>(i)));
+    fs::last_write_time(folder_ / "cache/objects" / refs[i].sha256.substr(0, 2) / refs[i].sha256,
+                        now - std::chrono::hours(10 - static_cast<int>(i)));
   }
   ASSERT_TRUE(cache.Locate(refs[0]).ok());  // Now the youngest.
-  ASSERT_TRUE(cache.Trim(2500).ok());
+  ASSERT_TRUE(cache.Trim(2500, std::chrono::minutes(1)).ok());
   std::uint64_t bytes = 0;
   EXPECT_TRUE(cache.Find(refs[0].sha256, &bytes).ok());
   EXPECT_FALSE(cache.Find(refs[1].sha256, &bytes).ok());
   EXPECT_FALSE(cache.Find(refs[2].sha256, &bytes).ok());
   EXPECT_TRUE(cache.Find(refs[3].sha256, &bytes).ok());
   EXPECT_TRUE(cache.Locate(refs[1]).ok()) << "what was forgotten is fetched again";
+}
+
+TEST_F(ArtefactServerTest, ACacheSparesWhatSomebodyMayBeReading) {
+  const ArtefactStore cache = NewCache("cache");
+  const ArtefactRef ref = cache.PutBytes("a", Noise(1000)).value();
+  ASSERT_TRUE(cache.Trim(0, std::chrono::minutes(1)).ok());
+  std::uint64_t bytes = 0;
+  EXPECT_TRUE(cache.Find(ref.sha256, &bytes).ok());
+  ASSERT_TRUE(cache.Trim(0, std::chrono::seconds(-1)).ok());
+  EXPECT_FALSE(cache.Find(ref.sha256, &bytes).ok());
 }
 
 TEST_F(ArtefactServerTest, ALinkIsNoArtefact) {
