@@ -58,13 +58,16 @@ struct CommandLine {
 
 void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--state", options->state_folder, "Folder of the event log; created when missing")->required();
-  app->add_option("--store", options->store_folder, "Folder of the artefact store, shared with workers and clients")->required();
+  app->add_option("--store", options->store_folder,
+                  "Folder of the artefact store; or /vsis3/BUCKET/PREFIX, where the workers keep artefacts")
+      ->required();
   app->add_option("--bind", options->endpoint,
                   "Endpoint: ipc:///path or tcp://127.0.0.1:PORT (PORT * takes a free one); with --key any address, tcp://*:PORT")
       ->required();
-  app->add_option("--data-bind", options->data_endpoint,
-                  "Endpoint of the data lane, for those that do not share the store; none: no such lane. Default: beside --bind, "
-                  "on any free port");
+  app->add_option(
+      "--data-bind", options->data_endpoint,
+      "Endpoint of the data lane, for workers and clients that do not share the store; none: no such lane. Default: beside --bind, "
+      "on any free port");
   app->add_option("--store-bytes-max", options->data.store_bytes_max,
                   "Refuse what would make the store larger on the data lane (0: no limit)")
       ->capture_default_str();
@@ -145,7 +148,7 @@ Result<ChannelOptions> MakeChannelOptions(const CommandLine& options) {
 Result<std::unique_ptr<ArtefactServer>> StartDataLane(const CommandLine& options, const ChannelOptions& channel_options,
                                                       const ArtefactStore& artefacts) {
   std::string endpoint = options.data_endpoint;
-  if (endpoint == "none") return std::unique_ptr<ArtefactServer>();
+  if (endpoint == "none" || options.store_folder.starts_with("/vsi")) return std::unique_ptr<ArtefactServer>();
   if (endpoint.empty()) {
     const bool is_file = options.endpoint.starts_with("ipc://");
     endpoint = is_file ? options.endpoint + ".data" : options.endpoint.substr(0, options.endpoint.rfind(':')) + ":*";
@@ -163,7 +166,8 @@ v1::Envelope DataLaneAnswer(const ArtefactServer* data_lane) {
     answer.mutable_data_lane()->set_endpoint(data_lane->endpoint());
   } else {
     answer.mutable_error()->set_status_code(static_cast<std::uint32_t>(StatusCode::kInvalidInput));
-    answer.mutable_error()->set_message("this coordinator has no data lane (--data-bind none): name the shared store with --store");
+    answer.mutable_error()->set_message(
+        "this coordinator has no data lane (--data-bind none, or the store is an object store): name its store with --store");
   }
   return answer;
 }
@@ -205,12 +209,16 @@ Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate
 Status RunCoordinator(const CommandLine& options, pid_t parent) {
   if (options.die_with_parent) TREM_RETURN_IF_ERROR(TieToParent(parent));
   TREM_ASSIGN_OR_RETURN(const ChannelOptions channel_options, MakeChannelOptions(options));
-  TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(options.store_folder).lexically_normal()));
+  const bool is_elsewhere = options.store_folder.starts_with("/vsi");
+  // Then nothing is ever put into this one.
+  const std::string store_folder = is_elsewhere ? options.state_folder + "/no-artefacts" : options.store_folder;
+  TREM_ASSIGN_OR_RETURN(ArtefactStore artefacts, ArtefactStore::Open(std::filesystem::absolute(store_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<EventStore> events,
                         EventStore::Open(std::filesystem::absolute(options.state_folder).lexically_normal()));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<ArtefactServer> data_lane, StartDataLane(options, channel_options, artefacts));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<Monitoring> monitoring, Monitoring::Start(options.http));
   ShellOptions shell_options = options.shell;
+  if (is_elsewhere) shell_options.store_elsewhere = options.store_folder;
   shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
   // Bound after the log was read: until then peers see nobody and queue nothing.
   std::unique_ptr<RouterChannel> channel;

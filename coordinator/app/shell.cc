@@ -87,6 +87,7 @@ void Shell::CompactWhenLong() {
 }
 
 bool Shell::ArtefactsArePresent(const v1::TaskCommitted& committed) const {
+  if (!options_.store_elsewhere.empty()) return true;
   for (const v1::ArtefactRef& output : committed.result().outputs()) {
     const auto located = artefacts_.Locate(::trem::FromProto(output));
     if (located.ok()) continue;
@@ -250,7 +251,7 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
 
   v1::Envelope welcome;
   welcome.mutable_welcome()->set_heartbeat_interval_ms(options_.heartbeat_interval_ms);
-  welcome.mutable_welcome()->set_store_path(artefacts_.root().string());
+  welcome.mutable_welcome()->set_store_path(StorePath());
   SendTo(peer, std::move(welcome));
 
   WorkerHelloEvent event;
@@ -331,7 +332,7 @@ void Shell::ReplyJobStatus(const std::string& peer, const std::string& job_id) {
   if (!status.has_value()) return Refuse(peer, NotFound("there is no job '" + job_id.substr(0, 80) + "'; `trem list` shows all"));
   v1::Envelope reply;
   *reply.mutable_job_status() = *status;
-  reply.mutable_job_status()->set_store_path(artefacts_.root().string());
+  reply.mutable_job_status()->set_store_path(StorePath());
   SendTo(peer, std::move(reply));
 }
 
@@ -340,7 +341,7 @@ void Shell::ReplyJobList(const std::string& peer) {
   v1::JobList* list = reply.mutable_job_list();  // Made even when there is no job: an empty list is an answer too.
   for (v1::JobStatus& status : scheduler_.JobStatuses()) {
     status.clear_notes();  // GetJob tells them; thousands of jobs with notes would not fit one message.
-    status.set_store_path(artefacts_.root().string());
+    status.set_store_path(StorePath());
     *list->add_jobs() = std::move(status);
   }
   SendTo(peer, std::move(reply));

@@ -27,6 +27,9 @@ struct ShellOptions {
   std::uint32_t heartbeats_missed_max = 8;
   // The log is replaced by a snapshot when it has more events than this, and twice as many as the last snapshot.
   std::uint64_t compact_after_events = 200'000;
+  // An artefact store that this process cannot look into (/vsis3/...): told to workers and clients instead of the folder's path, and what
+  // the log says is in it is believed.
+  std::string store_elsewhere;
   // Told of events as soon as they are durable; for metrics. May be empty.
   std::function<void(std::span<const v1::LogEvent>)> on_logged;
   // Jobs that one user may have running at once; more are refused. 0: no limit.
@@ -73,6 +76,7 @@ class Shell {
   Status Replay();
   void CompactWhenLong();
   void ReceiveWhileFull(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
+  std::string StorePath() const { return options_.store_elsewhere.empty() ? artefacts_.root().string() : options_.store_elsewhere; }
   bool ArtefactsArePresent(const v1::TaskCommitted& committed) const;
   void Feed(TimeMs now_ms, const Event& event);
   void Take(const Effect& effect);

@@ -51,6 +51,7 @@ struct Request {
   std::string store;
   std::string work_folder;
   bool json = false;
+  bool upload = false;
   std::function<int()> action;
 };
 
@@ -115,7 +116,8 @@ CLI::App* AddRemoteCommand(CLI::App* app, Request* request, const std::string& n
   command->add_option("--coordinator", request->remote.coordinator, "Endpoint of the coordinator, for example tcp://127.0.0.1:7411")
       ->envname("TREM_COORDINATOR")
       ->required();
-  command->add_option("--key", request->remote.key, "Your .key file (`trem keys`), where the coordinator asks for keys")->envname("TREM_KEY");
+  command->add_option("--key", request->remote.key, "Your .key file (`trem keys`), where the coordinator asks for keys")
+      ->envname("TREM_KEY");
   command->add_option("--coordinator-key", request->remote.coordinator_key, "The coordinator's .pub file")->envname("TREM_COORDINATOR_KEY");
   command->add_flag("--json", request->remote.json, "Print JSON");
   command->add_flag("-q,--quiet", request->remote.quiet, "No progress and no summary");
@@ -172,16 +174,21 @@ void AddSubmitAndFetch(CLI::App* app, Request* request) {
   AddMosaicOptions(submit, request);
   AddOverrides(submit, request);
   submit->add_option("--job-id", request->job_id, "Name of the job, a-z 0-9 -; the same id again is the same job; default: made up");
+  submit->add_flag("--upload", request->upload,
+                   "Bring the sortie's files to the coordinator, for workers that cannot read them where they are");
   submit->footer(
       "Prints the job's id.\n\nExamples:\n  trem submit flight.ts --coordinator tcp://127.0.0.1:7411\n"
       "  JOB=$(trem submit frames/) && trem watch $JOB && trem fetch $JOB -o mosaic.tif");
   submit->callback([request] {
-    request->action = [request] { return RunSubmitCommand(request->remote, request->sortie, OverridesOf(*request), request->job_id); };
+    request->action = [request] {
+      return RunSubmitCommand(request->remote, request->sortie, OverridesOf(*request), request->job_id, request->upload);
+    };
   });
   CLI::App* fetch = AddRemoteCommand(app, request, "fetch", "Copy the results of a job that is done");
   fetch->add_option("JOB", request->job_id, "Id of the job")->required();
   fetch->add_option("-o,--output", request->output, "The mosaic to write, *.tif; its siblings go beside it")->required();
-  fetch->add_option("--store", request->store, "The artefact store, if this machine shares it; default: the results come from the coordinator");
+  fetch->add_option("--store", request->store,
+                    "The artefact store, if this machine shares it; default: the results come from the coordinator");
   fetch->footer("Examples:\n  trem fetch flight-1a2b3c4d -o mosaic.tif");
   fetch->callback([request] {
     request->action = [request] { return RunFetchCommand(request->remote, request->job_id, request->output, request->store); };
@@ -206,8 +213,7 @@ void AddKeysCommand(CLI::App* app, Request* request) {
       "The .key file stays where it is used; the .pub file goes into the coordinator's --allow folder (a worker's, client's or admin's)\n"
       "or to everybody who talks to it (the coordinator's).\n\n"
       "Examples:\n  trem keys hill-coordinator --role coordinator -o /etc/trem\n  trem keys cluster --role worker -o keys/");
-  command->callback(
-      [request] { request->action = [request] { return RunKeysCommand(request->job_id, request->role, request->output); }; });
+  command->callback([request] { request->action = [request] { return RunKeysCommand(request->job_id, request->role, request->output); }; });
 }
 
 void AddJobCommands(CLI::App* app, Request* request) {

@@ -4,14 +4,18 @@
 
 #include <cctype>
 #include <memory>
+#include <optional>
 #include <random>
+#include <thread>
 
+#include "coordinator/cli/child_process.h"
 #include "coordinator/cli/client.h"
 #include "coordinator/cli/interrupt.h"
 #include "coordinator/cli/job_report.h"
 #include "coordinator/cli/outputs.h"
 #include "coordinator/cli/progress.h"
 #include "coordinator/cli/terminal.h"
+#include "coordinator/cli/upload.h"
 #include "proto/channel/artefact_channel.h"
 #include "proto/codec/envelope.h"
 #include "proto/codec/sortie_spec.h"
@@ -133,21 +137,61 @@ int AskForWorkers(const RemoteOptions& remote, const v1::Envelope& question) {
   return kExitDone;
 }
 
+// An object store, read by the trem-worker beside this program: GDAL and its credentials are there.
+class WorkerBacking final : public ArtefactBacking {
+ public:
+  WorkerBacking(std::string store, fs::path log) : store_(std::move(store)), log_(std::move(log)) {}
+
+  Status Fetch(const ArtefactRef& ref, const fs::path& path) override {
+    TREM_ASSIGN_OR_RETURN(const fs::path folder, ProgramFolder());
+    TREM_ASSIGN_OR_RETURN(const pid_t pid, StartChild({(folder / "trem-worker").string(), "get-artefact", "--store", store_, "--sha256",
+                                                       ref.sha256, "--output", path.string()},
+                                                      log_));
+    std::optional<int> ended;
+    while (!(ended = ReapChild(pid))) {
+      if (InterruptSignal() != 0) return Cancelled("interrupted");  // The child ends with this process.
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    if (*ended == 0) return {};
+    return Failed("result " + ref.name + ": " + LastLines(log_, 1));
+  }
+  Status Deliver(const ArtefactRef&, const fs::path&) override { return Failed("results are only read"); }
+
+ private:
+  std::string store_;
+  fs::path log_;
+};
+
+Result<v1::Sortie> Upload(const RemoteOptions& remote, const v1::Sortie& sortie) {
+  CountInterrupts();
+  TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(remote.key, remote.coordinator_key));
+  const auto channel = std::make_shared<ArtefactChannel>(remote.coordinator, options);
+  channel->set_on_chunk([] { return InterruptSignal() == 0; });
+  return UploadSortie(sortie, channel);
+}
+
 // From the folder `store`, or in chunks from the coordinator. What has arrived when that breaks off is kept beside the output, and the
 // same command goes on from there.
 Result<std::vector<PublishedFile>> FetchOutputs(const RemoteOptions& remote, const v1::JobStatus& job, const fs::path& output,
                                                 const fs::path& store_path) {
   if (!store_path.empty()) {
     std::error_code error;
-    if (!fs::is_directory(store_path, error)) return NotFound("artefact store '" + store_path.string() + "' is not a folder on this machine");
+    if (!fs::is_directory(store_path, error))
+      return NotFound("artefact store '" + store_path.string() + "' is not a folder on this machine");
     TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(store_path));
     return PublishOutputs(job, store, output, {});
   }
   const fs::path partial = output.string() + ".fetch";
-  TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(remote.key, remote.coordinator_key));
-  const auto channel = std::make_shared<ArtefactChannel>(remote.coordinator, options);
-  channel->set_on_chunk([] { return InterruptSignal() == 0; });
-  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::OpenCache(partial, channel));
+  std::shared_ptr<ArtefactBacking> backing;
+  if (job.store_path().starts_with("/vsi")) {
+    backing = std::make_shared<WorkerBacking>(job.store_path(), partial / "tmp" / "get-artefact.log");
+  } else {
+    TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(remote.key, remote.coordinator_key));
+    const auto channel = std::make_shared<ArtefactChannel>(remote.coordinator, options);
+    channel->set_on_chunk([] { return InterruptSignal() == 0; });
+    backing = channel;
+  }
+  TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::OpenCache(partial, backing));
   auto files = PublishOutputs(job, store, output, {});
   std::error_code ignored;
   if (files.ok()) fs::remove_all(partial, ignored);
@@ -157,8 +201,9 @@ Result<std::vector<PublishedFile>> FetchOutputs(const RemoteOptions& remote, con
 }  // namespace
 
 int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
-                     const std::string& job_id) {
-  const Result<v1::Sortie> spec = LoadSortie(sortie, overrides);
+                     const std::string& job_id, bool upload) {
+  Result<v1::Sortie> spec = LoadSortie(sortie, overrides);
+  if (spec.ok() && upload) spec = Upload(remote, *spec);
   if (!spec.ok()) return Report(spec.status());
   const std::string id = job_id.empty() ? NewJobId(spec->name()) : job_id;
   if (const Status status = CheckJobId(id); !status.ok()) return Report(status);

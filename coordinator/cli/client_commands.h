@@ -15,9 +15,10 @@ struct RemoteOptions {
   bool quiet = false;
 };
 
-// Each returns the exit code of `trem`.
+// Each returns the exit code of `trem`. `upload`: bring the sortie's files to the coordinator's store first, for workers that cannot read
+// them where they are.
 int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
-                     const std::string& job_id);
+                     const std::string& job_id, bool upload);
 int RunListCommand(const RemoteOptions& remote);
 int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id);
 int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id);

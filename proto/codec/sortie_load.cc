@@ -7,6 +7,7 @@
 #include <system_error>
 
 #include "mosaic/base/file.h"
+#include "proto/codec/sortie_paths.h"
 #include "proto/codec/sortie_spec.h"
 
 namespace trem {
@@ -17,6 +18,7 @@ namespace fs = std::filesystem;
 constexpr std::uint64_t kSpecFileBytesMax = std::uint64_t{1} << 20;
 
 bool Exists(const fs::path& path) {
+  if (path.string().starts_with("/vsi")) return true;  // GDAL's virtual paths: whoever opens them will see.
   std::error_code ignored;
   return fs::exists(path, ignored);
 }
@@ -43,15 +45,7 @@ std::string Absolute(const std::string& path, const fs::path& base) {
 
 // Makes the paths of a spec absolute; `base` is an absolute folder.
 void MakeAbsolute(const fs::path& base, v1::Sortie* sortie) {
-  if (!sortie->source().path().empty()) sortie->mutable_source()->set_path(Absolute(sortie->source().path(), base));
-  if (!sortie->telemetry().path().empty()) sortie->mutable_telemetry()->set_path(Absolute(sortie->telemetry().path(), base));
-  if (!sortie->telemetry().dem_path().empty()) sortie->mutable_telemetry()->set_dem_path(Absolute(sortie->telemetry().dem_path(), base));
-  if (!sortie->control().path().empty()) sortie->mutable_control()->set_path(Absolute(sortie->control().path(), base));
-  v1::Sensor* sensor = sortie->mutable_sensor();
-  if (!sensor->psf_kernel_path().empty()) sensor->set_psf_kernel_path(Absolute(sensor->psf_kernel_path(), base));
-  if (!sensor->bad_pixel_path().empty()) sensor->set_bad_pixel_path(Absolute(sensor->bad_pixel_path(), base));
-  if (!sensor->mask_path().empty()) sensor->set_mask_path(Absolute(sensor->mask_path(), base));
-  if (!sortie->mosaic().cutline_path().empty()) sortie->mutable_mosaic()->set_cutline_path(Absolute(sortie->mosaic().cutline_path(), base));
+  for (const SortiePath& named : PathsOf(sortie)) *named.path = Absolute(*named.path, base);
 }
 
 // Ok when `path` is there: something readable, or a glob that matches something.

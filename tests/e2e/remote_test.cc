@@ -70,6 +70,46 @@ TEST_F(RemoteTest, TakesAJobFromSubmitToFetch) {
   EXPECT_EQ(exit->code, 0) << worker.Stderr();
 }
 
+TEST_F(RemoteTest, StreamsArtefactsToAWorkerThatSharesNothing) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  const fs::path out = fixture_.NewFolder("out");
+  ASSERT_EQ(Trem({"run", (sortie / "sortie.textproto").string(), "-o", (out / "local.tif").string()}).exit_code, 0);
+  ASSERT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1"}).exit_code, 0);
+  const fs::path temporary = fixture_.NewFolder("temporary");
+  SubprocessOptions options = fixture_.Options();
+  options.environment.push_back("TMPDIR=" + temporary.string());
+  const std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_};
+  Subprocess first(argv, options);
+  Subprocess second(argv, options);
+  const Completed watch = Trem({"watch", "town-1"});
+  EXPECT_EQ(watch.exit_code, 0) << watch.stderr_text << first.Stderr();
+  const Completed fetch = Trem({"fetch", "town-1", "-o", (out / "streamed.tif").string()});
+  EXPECT_EQ(fetch.exit_code, 0) << fetch.stderr_text;
+  EXPECT_EQ(FileContents(out / "streamed.tif"), FileContents(out / "local.tif"));
+  EXPECT_FALSE(fs::exists(out / "streamed.tif.fetch"));
+  for (Subprocess* worker : {&first, &second}) {
+    worker->Signal(SIGTERM);
+    ASSERT_TRUE(worker->Wait(std::chrono::seconds(30)).has_value());
+  }
+  EXPECT_TRUE(NamesIn(temporary).empty());
+}
+
+TEST_F(RemoteTest, UploadsASortieThatTheWorkersCannotRead) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  const fs::path out = fixture_.NewFolder("out");
+  ASSERT_EQ(Trem({"run", (sortie / "sortie.textproto").string(), "-o", (out / "local.tif").string()}).exit_code, 0);
+  const Completed submit = Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1", "--upload"});
+  ASSERT_EQ(submit.exit_code, 0) << submit.stderr_text;
+  fs::rename(sortie, fixture_.folder() / "out-of-reach");
+  const std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_};
+  Subprocess first(argv, fixture_.Options());
+  Subprocess second(argv, fixture_.Options());
+  const Completed watch = Trem({"watch", "town-1"});
+  EXPECT_EQ(watch.exit_code, 0) << watch.stderr_text << first.Stderr();
+  ASSERT_EQ(Trem({"fetch", "town-1", "-o", (out / "uploaded.tif").string()}).exit_code, 0);
+  EXPECT_EQ(FileContents(out / "uploaded.tif"), FileContents(out / "local.tif"));
+}
+
 TEST_F(RemoteTest, TheDoctorFindsACoordinatorAndItsAbsence) {
   const Completed well = Trem({"doctor", "--json"});
   const auto findings = nlohmann::json::parse(well.stdout_text);

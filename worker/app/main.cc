@@ -11,6 +11,7 @@
 #include "mosaic/base/version.h"
 #include "worker/app/compute_command.h"
 #include "worker/app/enhance_command.h"
+#include "worker/app/get_artefact_command.h"
 #include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
 #include "worker/app/simulate_command.h"
@@ -28,13 +29,14 @@ constexpr Command kCommands[] = {
     {"serve", "join a coordinator and compute its tasks", RunServeCommand},
     {"inspect", "say what a sortie holds", RunInspectCommand},
     {"enhance", "enhance one region of the sensor", RunEnhanceCommand},
+    {"get-artefact", "copy an artefact from an object store", RunGetArtefactCommand},
     {"simulate", "render a sortie with known truth", RunSimulateCommand},
 };
 
 void PrintHelp(std::ostream& out) {
   out << "usage: trem-worker COMMAND [OPTIONS]\n\nCommands:\n";
   for (const Command& command : kCommands) {
-    out << "  " << command.name << std::string(12 - std::strlen(command.name), ' ') << command.summary << "\n";
+    out << "  " << command.name << std::string(14 - std::strlen(command.name), ' ') << command.summary << "\n";
   }
   out << "\n`trem-worker COMMAND --help` explains a command; --version prints the version.\n";
 }

@@ -11,24 +11,31 @@
 #include <cctype>
 #include <csignal>
 #include <cstdint>
+#include <filesystem>
 #include <iostream>
 #include <random>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/log.h"
+#include "mosaic/raster/vsi_backing.h"
 #include "worker/app/compute_process.h"
+#include "worker/app/scratch_folder.h"
 #include "worker/app/usage.h"
 #include "worker/app/worker_loop.h"
 #include "worker/sortie/source_guard.h"
 
 namespace trem {
+namespace fs = std::filesystem;
 namespace {
 
 struct ServeOptions {
   std::string coordinator;
   std::string store;
+  std::string cache;
+  std::uint64_t cache_bytes_max = std::uint64_t{20} << 30;
   std::vector<std::string> source_roots;
   std::string key_path;
   std::string coordinator_key_path;
@@ -77,19 +84,44 @@ std::string NewWorkerId(const std::string& host) {
   return id;
 }
 
-ComputeProcessOptions ComputeOptionsOf(const ServeOptions& serve) {
+// A relative ipc://PATH leads elsewhere once a process has entered the folder of its task store.
+std::string AbsoluteEndpoint(const std::string& endpoint) {
+  constexpr std::string_view kIpc = "ipc://";
+  if (!endpoint.starts_with(kIpc) || endpoint.size() == kIpc.size()) return endpoint;
+  return std::string(kIpc) + fs::absolute(endpoint.substr(kIpc.size())).string();
+}
+
+// On the disk of the store or the cache: files of sorties are hard links to objects there.
+fs::path ScratchParent(const ServeOptions& serve) {
+  if (!serve.store.empty() && !IsVsiPath(serve.store)) return fs::path(serve.store) / "tmp";
+  std::error_code ignored;
+  return serve.cache.empty() ? fs::temp_directory_path(ignored) : fs::path(serve.cache) / "tmp";
+}
+
+ComputeProcessOptions ComputeOptionsOf(const ServeOptions& serve, const fs::path& scratch) {
   ComputeProcessOptions options;
   // By /proc, so that a worker whose program is replaced while it runs goes on with the one that it is.
-  options.argv = {
-      "/proc/self/exe", "compute",       "--store",      serve.store,     "--memory-max-bytes", std::to_string(serve.memory_bytes_max),
-      "--log-level",    serve.log_level, "--log-format", serve.log_format};
+  options.argv = {"/proc/self/exe",     "compute",
+                  "--memory-max-bytes", std::to_string(serve.memory_bytes_max),
+                  "--log-level",        serve.log_level,
+                  "--log-format",       serve.log_format,
+                  "--cache-bytes-max",  std::to_string(serve.cache_bytes_max),
+                  "--coordinator",      AbsoluteEndpoint(serve.coordinator),
+                  "--scratch",          scratch.string()};
+  const std::pair<const char*, const std::string*> paths[] = {
+      {"--store", &serve.store}, {"--cache", &serve.cache}, {"--key", &serve.key_path}, {"--coordinator-key", &serve.coordinator_key_path}};
+  for (const auto& [name, path] : paths) {
+    if (!path->empty()) options.argv.insert(options.argv.end(), {name, *path});
+  }
   options.silence_max = std::chrono::seconds(serve.silence_s);
   options.task_max = std::chrono::seconds(serve.task_max_s);
   return options;
 }
 
-Status Serve(const ServeOptions& serve) {
-  TREM_RETURN_IF_ERROR(ArtefactStore::Open(serve.store).status());
+Status Serve(ServeOptions serve) {
+  if (!serve.store.empty() && !IsVsiPath(serve.store)) TREM_RETURN_IF_ERROR(ArtefactStore::Open(serve.store).status());
+  TREM_ASSIGN_OR_RETURN(const ScratchFolder scratch, ScratchFolder::Make(ScratchParent(serve)));
+  if (serve.cache.empty()) serve.cache = (scratch.path() / "cache").string();
   WorkerOptions options;
   options.host = HostName();
   options.pid = static_cast<std::uint32_t>(::getpid());
@@ -101,7 +133,7 @@ Status Serve(const ServeOptions& serve) {
   TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
   signalled_channel = channel.get();
   TREM_ASSIGN_OR_RETURN(const SourceGuard guard, SourceGuard::Make(serve.source_roots, /*closed=*/!serve.key_path.empty()));
-  ComputeProcess compute(ComputeOptionsOf(serve));
+  ComputeProcess compute(ComputeOptionsOf(serve, scratch.path()));
   const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> TaskOutcome {
     TREM_RETURN_IF_ERROR(guard.Check(spec.sortie()));
     return compute.Run(spec, progress);
@@ -127,7 +159,14 @@ int RunServeCommand(int argc, char** argv) {
   app.add_option("--key", options.key_path, "Secret key file of this worker (`trem keys`); needed beyond this machine")
       ->envname("TREM_KEY");
   app.add_option("--coordinator-key", options.coordinator_key_path, "The coordinator's .pub file")->envname("TREM_COORDINATOR_KEY");
-  app.add_option("--store", options.store, "Folder of the artefact store, the same as the coordinator's")->required();
+  app.add_option(
+      "--store", options.store,
+      "Artefact store, the same as the coordinator's: a shared folder, or /vsis3/BUCKET/PREFIX. Default: artefacts are streamed");
+  app.add_option("--cache", options.cache,
+                 "Folder for artefacts that are not in a shared folder; the workers of a machine may share it. Default: a "
+                 "temporary one");
+  app.add_option("--cache-bytes-max", options.cache_bytes_max, "The least recently used artefacts of the cache are removed beyond this")
+      ->capture_default_str();
   app.add_option("--memory-max-bytes", options.memory_bytes_max,
                  "Take no task that needs more memory, and let none allocate more (0: no limit)")
       ->capture_default_str();

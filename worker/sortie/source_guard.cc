@@ -6,6 +6,8 @@
 #include <memory>
 #include <system_error>
 
+#include "proto/codec/sortie_paths.h"
+#include "proto/codec/upload.h"
 #include "worker/sortie/image_sequence_reader.h"
 #include "worker/sortie/telemetry_match.h"
 #include "worker/sortie/telemetry_sources.h"
@@ -42,6 +44,7 @@ Result<SourceGuard> SourceGuard::Make(const std::vector<std::string>& roots, boo
 
 bool SourceGuard::Allows(const fs::path& path) const {
   const std::string text = path.string();
+  if (UploadOfPath(text)) return true;  // What a client gave, in a folder that holds nothing else.
   if (IsVirtual(text)) {
     // Nested ones, such as /vsizip//vsicurl/..., begin with something that no root names.
     return text.find("..") == std::string::npos &&
@@ -73,20 +76,24 @@ Status SourceGuard::CheckEntries(const fs::path& source) const {
   return {};
 }
 
+Status SourceGuard::CheckNamed(const v1::Sortie& sortie) const {
+  v1::Sortie named = sortie;
+  for (const SortiePath& entry : PathsOf(&named)) {
+    if (entry.path != &named.source().path()) TREM_RETURN_IF_ERROR(CheckPath(entry.field, *entry.path));
+  }
+  return {};
+}
+
 Status SourceGuard::Check(const v1::Sortie& sortie) const {
   if (open_) return {};
   const fs::path source = sortie.source().path();
+  if (UploadOfPath(source.string())) return CheckNamed(sortie);
   if (!source.is_absolute()) return InvalidInput("source.path " + source.string() + " is relative; expected an absolute path");
   std::error_code error;
   // Of a glob (which does not exist as it stands) the folder above the first wildcard counts, then every match.
   const bool is_there = IsVirtual(source.string()) || fs::exists(source, error);
   TREM_RETURN_IF_ERROR(CheckPath("source.path", is_there ? source : ImageFolder(source.string())));
-  TREM_RETURN_IF_ERROR(CheckPath("telemetry.path", sortie.telemetry().path()));
-  TREM_RETURN_IF_ERROR(CheckPath("telemetry.dem_path", sortie.telemetry().dem_path()));
-  TREM_RETURN_IF_ERROR(CheckPath("sensor.psf_kernel_path", sortie.sensor().psf_kernel_path()));
-  TREM_RETURN_IF_ERROR(CheckPath("sensor.bad_pixel_path", sortie.sensor().bad_pixel_path()));
-  TREM_RETURN_IF_ERROR(CheckPath("sensor.mask_path", sortie.sensor().mask_path()));
-  TREM_RETURN_IF_ERROR(CheckPath("control.path", sortie.control().path()));
+  TREM_RETURN_IF_ERROR(CheckNamed(sortie));
   if (IsVirtual(source.string())) return {};
   TREM_RETURN_IF_ERROR(CheckEntries(source));
   // Tracks beside a video may be links, too; a telemetry.csv may lie above the source, and be a link.

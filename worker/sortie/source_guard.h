@@ -14,7 +14,7 @@ namespace trem {
 class SourceGuard {
  public:
   // `roots`: folders (they have to exist), or prefixes of GDAL's virtual paths ("/vsis3/bucket/"). None: everything is allowed, or
-  // nothing when `closed`.
+  // nothing when `closed`. Uploads are always allowed: their files come from the client.
   static Result<SourceGuard> Make(const std::vector<std::string>& roots, bool closed);
 
   // Checks every path of the spec, what lies in the source's folder or matches its glob, and telemetry found beside it. kInvalidInput names
@@ -25,6 +25,7 @@ class SourceGuard {
  private:
   bool Allows(const std::filesystem::path& path) const;
   Status CheckPath(const std::string& field, const std::filesystem::path& path) const;
+  Status CheckNamed(const v1::Sortie& sortie) const;  // Every path but the source's.
   Status CheckEntries(const std::filesystem::path& source) const;
 
   bool open_ = false;

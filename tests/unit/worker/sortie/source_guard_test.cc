@@ -5,6 +5,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "mosaic/base/digest.h"
+#include "proto/codec/upload.h"
 #include "tests/support/paths.h"
 
 namespace trem {
@@ -69,15 +71,32 @@ TEST_F(SourceGuardTest, FollowsLinksBeforeItJudges) {
 
 TEST_F(SourceGuardTest, ChecksEveryPathOfTheSpec) {
   const std::string secret = (folder_ / "secret/1.png").string();
-  for (int field = 0; field < 5; ++field) {
+  for (int field = 0; field < 8; ++field) {
     v1::Sortie sortie;
     sortie.mutable_source()->set_path((folder_ / "open/leg").string());
     if (field == 1) sortie.mutable_telemetry()->set_path(secret);
     if (field == 2) sortie.mutable_sensor()->set_psf_kernel_path(secret);
     if (field == 3) sortie.mutable_sensor()->set_bad_pixel_path(secret);
     if (field == 4) sortie.mutable_sensor()->set_mask_path(secret);
+    if (field == 5) sortie.mutable_telemetry()->set_dem_path(secret);
+    if (field == 6) sortie.mutable_control()->set_path(secret);
+    if (field == 7) sortie.mutable_mosaic()->set_cutline_path(secret);
     EXPECT_EQ(guard_.Check(sortie).ok(), field == 0) << field;
   }
+}
+
+TEST_F(SourceGuardTest, AnUploadMayBeReadButLeadsNowhereElse) {
+  const std::string upload = UploadName({"upload.pb", Sha256Hex("list"), 100});
+  EXPECT_TRUE(Check(upload + "/leg.ts").ok());
+  EXPECT_FALSE(Check(upload + "/../../secret/1.png").ok());
+  EXPECT_FALSE(Check("/" + upload + "/leg.ts").ok());
+  v1::Sortie sortie;
+  sortie.mutable_source()->set_path(upload + "/leg.ts");
+  sortie.mutable_telemetry()->set_dem_path((folder_ / "secret/1.png").string());
+  EXPECT_THAT(guard_.Check(sortie).message(), HasSubstr("telemetry.dem_path"));
+  EXPECT_FALSE(SourceGuard::Make({}, true).value().Check(sortie).ok());
+  sortie.mutable_telemetry()->set_dem_path(upload + "/named/telemetry.dem_path/dem.tif");
+  EXPECT_TRUE(SourceGuard::Make({}, true).value().Check(sortie).ok());
 }
 
 TEST_F(SourceGuardTest, WithoutFoldersAllIsOpenOrClosed) {

@@ -1,0 +1,112 @@
+#include "mosaic/raster/vsi_backing.h"
+
+#include <cpl_conv.h>
+#include <cpl_string.h>
+#include <cpl_vsi.h>
+#include <cpl_vsi_error.h>
+
+#include <memory>
+#include <mutex>
+#include <system_error>
+#include <vector>
+
+#include "mosaic/base/file.h"
+#include "mosaic/raster/gdal_env.h"
+
+namespace trem {
+namespace fs = std::filesystem;
+namespace {
+
+struct VsiCloser {
+  void operator()(VSILFILE* file) const { VSIFCloseL(file); }
+};
+using VsiFile = std::unique_ptr<VSILFILE, VsiCloser>;
+
+// Why the last request failed, as the store or GDAL says.
+std::string Reason(const GdalErrors& errors) {
+  const char* detail = VSIGetLastErrorMsg();
+  if (detail != nullptr && *detail != '\0') return detail;
+  return errors.Text();
+}
+
+// Kind and size; kNotFound when there is nothing, kUnavailable when the store does not say.
+Status Stat(const std::string& path, VSIStatBufL* info) {
+  VSIErrorReset();
+  const GdalErrors errors;
+  if (VSIStatExL(path.c_str(), info, VSI_STAT_EXISTS_FLAG | VSI_STAT_NATURE_FLAG | VSI_STAT_SIZE_FLAG | VSI_STAT_SET_ERROR_FLAG) == 0)
+    return {};
+  const char* detail = VSIGetLastErrorMsg();
+  const bool has_reason = errors.failed() || (detail != nullptr && *detail != '\0');
+  if (has_reason && VSIGetLastErrorNo() != VSIE_AWSObjectNotFound && VSIGetLastErrorNo() != VSIE_FileError) {
+    return Unavailable("cannot look at " + path + ": " + Reason(errors) + "; check the store's address and credentials");
+  }
+  return NotFound(path + " does not exist");
+}
+
+// Copies all bytes between two open files.
+Status Pump(VSILFILE* in, VSILFILE* out, const std::string& what, const GdalErrors& errors) {
+  std::vector<char> block(1 << 20);
+  for (;;) {
+    const std::size_t count = VSIFReadL(block.data(), 1, block.size(), in);
+    if (count > 0 && VSIFWriteL(block.data(), 1, count, out) != count) return Unavailable(what + ": writing failed: " + Reason(errors));
+    if (count < block.size()) break;
+  }
+  return errors.failed() ? Unavailable(what + ": reading failed: " + Reason(errors)) : Status();
+}
+
+// From one path, virtual or not, to another.
+Status CopyThrough(const std::string& from, const std::string& to) {
+  VSIErrorReset();
+  const GdalErrors errors;
+  const std::string what = "copying " + from + " to " + to;
+  const VsiFile in(VSIFOpenExL(from.c_str(), "rb", TRUE));
+  if (!in) return Unavailable(what + ": cannot open it for reading: " + Reason(errors) + "; check the store's address and credentials");
+  VsiFile out(VSIFOpenExL(to.c_str(), "wb", TRUE));
+  if (!out) return Unavailable(what + ": cannot open it for writing: " + Reason(errors) + "; check the store's address and credentials");
+  Status status = Pump(in.get(), out.get(), what, errors);
+  // An object store takes the bytes in when the file is closed.
+  if (VSIFCloseL(out.release()) != 0 && status.ok()) status = Unavailable(what + ": " + Reason(errors) + "; check the store's credentials");
+  return status;
+}
+
+}  // namespace
+
+Status VsiBacking::Fetch(const ArtefactRef& ref, const fs::path& path) {
+  InitialiseGdal();
+  const std::string object = ObjectPath(ref.sha256);
+  VSIStatBufL info{};
+  if (const Status found = Stat(object, &info); !found.ok()) return found.WithPrefix("artefact " + ref.name);
+  return CopyThrough(object, path.string());
+}
+
+Status VsiBacking::Deliver(const ArtefactRef& ref, const fs::path& path) {
+  InitialiseGdal();
+  // Also what is there already, which is rare: it may be damaged, and that is why it was made again. Readers see the old or the new.
+  return CopyThrough(path.string(), ObjectPath(ref.sha256));
+}
+
+Status CopyVsiTree(const std::string& source, const fs::path& target) {
+  InitialiseGdal();
+  VSIStatBufL info{};
+  TREM_RETURN_IF_ERROR(Stat(source, &info));
+  if (!VSI_ISDIR(info.st_mode)) {
+    std::error_code error;
+    if (fs::file_size(target, error) == static_cast<std::uint64_t>(info.st_size) && !error) return {};
+    TREM_RETURN_IF_ERROR(MakeDirectories(target.parent_path()));
+    const fs::path partial = target.string() + ".part";
+    TREM_RETURN_IF_ERROR(CopyThrough(source, partial.string()));
+    return PublishFile(partial, target);
+  }
+  TREM_RETURN_IF_ERROR(MakeDirectories(target));
+  const std::unique_ptr<char*, void (*)(char**)> names(VSIReadDir(source.c_str()), &CSLDestroy);
+  for (char** name = names.get(); name != nullptr && *name != nullptr; ++name) {
+    const std::string entry = *name;
+    if (entry.empty() || entry.front() == '.' || entry.find('/') != std::string::npos) continue;
+    const std::string path = source + "/" + entry;
+    TREM_RETURN_IF_ERROR(Stat(path, &info));
+    if (!VSI_ISDIR(info.st_mode)) TREM_RETURN_IF_ERROR(CopyVsiTree(path, target / entry));
+  }
+  return {};
+}
+
+}  // namespace trem
