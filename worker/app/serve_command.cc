@@ -119,7 +119,10 @@ ComputeProcessOptions ComputeOptionsOf(const ServeOptions& serve, const fs::path
 }
 
 Status Serve(ServeOptions serve) {
-  if (!serve.store.empty() && !IsVsiPath(serve.store)) TREM_RETURN_IF_ERROR(ArtefactStore::Open(serve.store).status());
+  if (!serve.store.empty()) {
+    // Before any task fails by it.
+    TREM_RETURN_IF_ERROR(IsVsiPath(serve.store) ? VsiBacking(serve.store).Check() : ArtefactStore::Open(serve.store).status());
+  }
   TREM_ASSIGN_OR_RETURN(const ScratchFolder scratch, ScratchFolder::Make(ScratchParent(serve)));
   if (serve.cache.empty()) serve.cache = (scratch.path() / "cache").string();
   WorkerOptions options;
