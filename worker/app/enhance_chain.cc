@@ -48,7 +48,8 @@ std::string CovarianceColumns(const v1::ChainView& view, int parameters) {
   for (int row = 0; row < parameters; ++row) {
     for (int column = row; column < parameters; ++column) {
       columns += ',';
-      if (row < own && column < own && index < view.corner_covariance_px2_size()) columns += fmt::format("{}", view.corner_covariance_px2(index++));
+      if (row < own && column < own && index < view.corner_covariance_px2_size())
+        columns += fmt::format("{}", view.corner_covariance_px2(index++));
     }
   }
   return columns;
@@ -58,9 +59,10 @@ std::string FitColumns(const v1::ChainView& view, const PlanarMap& a, const Roi&
   const Roi roi = view.has_roi_in_sensor() ? FromProto(view.roi_in_sensor()) : window_roi;
   // source = scale * internal + grey.offset on both sides of frame = gain * scene + offset.
   const double offset = grey.scale * view.offset() + grey.offset * (1.0 - view.gain());
-  std::string columns = fmt::format(",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}", a.linear(0, 0), a.linear(0, 1), a.offset(0),
-                                    a.linear(1, 0), a.linear(1, 1), a.offset(1), a.perspective(0), a.perspective(1), view.gain(), offset,
-                                    grey.scale * view.residual_rms(), view.correlation(), view.overlap(), CornerSigma(view), roi.x0, roi.y0);
+  std::string columns =
+      fmt::format(",{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}", a.linear(0, 0), a.linear(0, 1), a.offset(0), a.linear(1, 0),
+                  a.linear(1, 1), a.offset(1), a.perspective(0), a.perspective(1), view.gain(), offset, grey.scale * view.residual_rms(),
+                  view.correlation(), view.overlap(), CornerSigma(view), roi.x0, roi.y0);
   if (view.gain_offset_covariance_size() < 3) return columns + ",,,";
   const double gain_gain = view.gain_offset_covariance(0);
   const double gain_offset = grey.scale * view.gain_offset_covariance(1) - grey.offset * gain_gain;

@@ -64,6 +64,7 @@ struct Arguments {
   std::vector<std::string> overrides;
   std::string output;
   int threads = 0;  // 0: all cores.
+  int resolution_frames = 64;
   bool track = false;
   bool json = false;
   bool quiet = false;
@@ -272,6 +273,24 @@ Result<int> ChooseTargetFrame(const Arguments& arguments, const FrameRange& fram
                                   *arguments.reference, frames.begin, frames.end));
 }
 
+// The window's task for fewer frames of it, without what only the published scene needs.
+Result<v1::WindowResult> EnhanceAlone(const Arguments& arguments, const ArtefactStore& store, v1::TaskSpec task, int begin, int end,
+                                      const Roi& roi, std::optional<int> target) {
+  *task.mutable_enhance()->mutable_roi_in_sensor() = ToProto(roi);
+  task.mutable_enhance()->set_frame_begin(static_cast<std::uint32_t>(begin));
+  task.mutable_enhance()->set_frame_end(static_cast<std::uint32_t>(end));
+  task.mutable_enhance()->set_uncertainty(false);
+  // A prior that knows edges draws the same ones into both halves.
+  task.mutable_sortie()->mutable_tre()->set_structure(v1::MEMBRANE);
+  if (target) task.mutable_enhance()->set_target_picked_in_frame(static_cast<std::uint32_t>(*target));
+  TREM_ASSIGN_OR_RETURN(const v1::TaskResult result,
+                        RunWithProgress(fmt::format("resolution of {} frames", end - begin), arguments, store, task));
+  TREM_CHECK(result.outputs_size() >= 1);
+  v1::WindowResult window;
+  TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, result.outputs(0), &window));
+  return window;
+}
+
 struct Outcome {
   Roi roi;
   FrameRange frames;
@@ -322,7 +341,11 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   v1::WindowResult window;
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, enhanced.outputs(0), &window));
   const EnhancedWindow made{&manifest, &window, &store, static_cast<int>(ingest.sortie().tre().ratio())};
-  TREM_ASSIGN_OR_RETURN(outcome.summary, PublishEnhancedScene(made, reference, arguments.output));
+  const EnhanceFrames enhance_alone = [&](int begin, int end, const Roi& roi, std::optional<int> target) {
+    return EnhanceAlone(arguments, store, enhance, begin, end, roi, target);
+  };
+  TREM_ASSIGN_OR_RETURN(outcome.summary,
+                        PublishEnhancedScene(made, reference, arguments.output, arguments.resolution_frames, enhance_alone));
   outcome.summary.notes.insert(outcome.summary.notes.begin(), notes.begin(), notes.end());
   return outcome;
 }
@@ -340,6 +363,10 @@ void PrintJson(const Outcome& outcome) {
   json["segments"] = s.segment_count;
   json["reference"] = {{"index", s.reference_index}, {"frame", s.reference_name}};
   json["noise_sigma"] = s.noise_sigma;
+  json["resolution"] = nlohmann::ordered_json::array();
+  for (const ResolutionPoint& point : s.resolution) {
+    json["resolution"].push_back({{"frames", point.frame_count}, {"cycles_per_px", point.cycles_per_px}});
+  }
   for (const fs::path& path : s.outputs) json["outputs"].push_back(path.string());
   json["notes"] = s.notes;
   fmt::print("{}\n", json.dump(2, ' ', false, nlohmann::ordered_json::error_handler_t::replace));
@@ -381,6 +408,11 @@ void Declare(CLI::App* app, Arguments* arguments) {
   app->add_option("--threads", arguments->threads, "Threads that enhance; 0: one for each core. The result is the same for any number")
       ->capture_default_str()
       ->check(CLI::Range(0, 1024))
+      ->type_name("N");
+  app->add_option("--resolution-frames", arguments->resolution_frames,
+                  "How resolution grows with the frames is measured with up to so many; 0: not at all")
+      ->capture_default_str()
+      ->check(CLI::Range(0, kFramesMax))
       ->type_name("N");
   app->add_flag("--json", arguments->json, "Print one JSON object on stdout at the end");
   app->add_flag("-q,--quiet", arguments->quiet, "No progress and no summary; warnings and errors stay");

@@ -22,8 +22,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Of a scene raster; the engine's buffers are far smaller.
-constexpr long long kScenePixelsMax = 1LL << 28;
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 // Picture columns between the two halves of the comparison.
 constexpr int kGapPx = 6;
@@ -78,7 +76,8 @@ FloatRaster SceneFile(const EnhancedWindow& enhanced, const PublishedScene& choi
   const auto seen = [&](const Image<float>& band, double offset) {
     Image<float> out(scene.information.width(), scene.information.height(), kNan);
     for (std::size_t i = 0; i < out.pixels().size(); ++i) {
-      if (scene.information.pixels()[i] > 0.0F && !band.empty()) out.pixels()[i] = static_cast<float>(offset + grey.scale * band.pixels()[i]);
+      if (scene.information.pixels()[i] > 0.0F && !band.empty())
+        out.pixels()[i] = static_cast<float>(offset + grey.scale * band.pixels()[i]);
     }
     return out;
   };
@@ -97,17 +96,6 @@ FloatRaster SceneFile(const EnhancedWindow& enhanced, const PublishedScene& choi
   raster.metadata["ROI"] = fmt::format("{},{},{},{}", roi.x0, roi.y0, roi.width(), roi.height());
   raster.metadata["FRAMES"] = fmt::format("{}:{}", enhanced.window->frame_begin(), enhanced.window->frame_end());
   return raster;
-}
-
-// The scene at `pixel`, NaN where a cell that it is made of was never seen.
-float SampleSeen(const SceneRaster& scene, const Eigen::Vector2d& pixel) {
-  if (!CubicSupported(scene.intensity, pixel.x(), pixel.y())) return kNan;
-  for (int j = -1; j <= 2; ++j) {
-    for (int i = -1; i <= 2; ++i) {
-      if (!(scene.information.at(static_cast<int>(pixel.x()) + i, static_cast<int>(pixel.y()) + j) > 0.0F)) return kNan;
-    }
-  }
-  return SampleCubic(scene.intensity, pixel.x(), pixel.y());
 }
 
 struct Comparison {
@@ -195,6 +183,16 @@ void AddNotes(const EnhancedWindow& enhanced, const PublishedScene& choice, doub
 
 }  // namespace
 
+float SampleSeen(const SceneRaster& scene, const Eigen::Vector2d& pixel) {
+  if (!CubicSupported(scene.intensity, pixel.x(), pixel.y())) return kNan;
+  for (int j = -1; j <= 2; ++j) {
+    for (int i = -1; i <= 2; ++i) {
+      if (!(scene.information.at(static_cast<int>(pixel.x()) + i, static_cast<int>(pixel.y()) + j) > 0.0F)) return kNan;
+    }
+  }
+  return SampleCubic(scene.intensity, pixel.x(), pixel.y());
+}
+
 Result<PlanarMap> PixelFromSensor(const v1::ChainView& view, const v1::EmittedScene& scene) {
   TREM_ASSIGN_OR_RETURN(const PlanarMap scene_from_sensor, PlanarMapFromProto(view.scene_from_sensor(), "scene_from_sensor"));
   Affine pixel_from_scene;
@@ -208,7 +206,8 @@ std::vector<fs::path> EnhanceOutputPaths(const fs::path& scene_path) {
   return {scene_path, folder / (stem + "_chain.csv"), folder / (stem + "_comparison.png"), folder / (stem + "_report.html")};
 }
 
-Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std::optional<int> reference, const fs::path& scene_path) {
+Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std::optional<int> reference, const fs::path& scene_path,
+                                            int resolution_frames, const EnhanceFrames& enhance) {
   TREM_ASSIGN_OR_RETURN(const PublishedScene choice, Choose(*enhanced.window, reference));
   TREM_ASSIGN_OR_RETURN(const fs::path stored, enhanced.store->Locate(FromProto(choice.scene->raster())));
   TREM_ASSIGN_OR_RETURN(const SceneRaster scene, ReadSceneRaster(stored, kScenePixelsMax));
@@ -232,6 +231,7 @@ Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std:
   summary.outputs = EnhanceOutputPaths(scene_path);
   CountOutcomes(*enhanced.window, &summary);
   AddNotes(enhanced, choice, comparison.cover, &summary);
+  TREM_ASSIGN_OR_RETURN(summary.resolution, ResolutionByFrames(enhanced, choice, resolution_frames, enhance));
   TREM_ASSIGN_OR_RETURN(const std::string report, EnhanceReport(enhanced, choice, grey, file, png, summary));
   TREM_RETURN_IF_ERROR(WriteFileAtomically(summary.outputs[1], csv));
   TREM_RETURN_IF_ERROR(WriteFileAtomically(summary.outputs[2], png));

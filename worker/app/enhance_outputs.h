@@ -5,19 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "mosaic/base/artefact_store.h"
 #include "mosaic/base/status.h"
-#include "proto/trem/v1/task.pb.h"
+#include "worker/app/resolution_curve.h"
 
 namespace trem {
-
-// What the outputs of `trem enhance` are made from.
-struct EnhancedWindow {
-  const v1::SortieManifest* manifest = nullptr;
-  const v1::WindowResult* window = nullptr;
-  const ArtefactStore* store = nullptr;  // Holds the window's scene rasters.
-  int ratio = 3;                         // Scene cells per sensor pixel.
-};
 
 struct EnhanceSummary {
   int reference_index = 0;
@@ -28,6 +19,7 @@ struct EnhanceSummary {
   int skipped_count = 0;
   int segment_count = 0;
   double noise_sigma = 0.0;                    // Grey levels of the source.
+  std::vector<ResolutionPoint> resolution;     // Against the number of frames; may be empty.
   std::vector<std::filesystem::path> outputs;  // The scene first.
   std::vector<std::string> notes;
 };
@@ -44,9 +36,10 @@ std::vector<std::filesystem::path> EnhanceOutputPaths(const std::filesystem::pat
 //   comparison   left the reference frame's ROI enlarged bicubically, right the scene in the same view, in the same stretch of grey
 //   report       a self-contained page with these pictures, figures, and charts of the chain
 //
+// How resolution grows with the frames is measured with up to `resolution_frames` of them, by `enhance` (0: not at all).
 // `reference` is a manifest index (none: the last frame of that segment). kInvalidInput names the frames to choose from when it is not
 // registered there; kFailed when the window has no scene at all.
 Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std::optional<int> reference,
-                                            const std::filesystem::path& scene_path);
+                                            const std::filesystem::path& scene_path, int resolution_frames, const EnhanceFrames& enhance);
 
 }  // namespace trem

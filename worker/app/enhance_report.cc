@@ -120,6 +120,20 @@ class ChainCharts {
   const GreyScale& grey_;
 };
 
+LineChart ResolutionChart(const std::vector<ResolutionPoint>& points) {
+  LineChart chart;
+  chart.title = "Resolution against the number of frames (agreement of two halves)";
+  chart.x_label = "frames";
+  chart.y_label = "cycles a px";
+  ChartLine line{"resolution", {}, {}};
+  for (const ResolutionPoint& point : points) {
+    line.x.push_back(point.frame_count);
+    line.y.push_back(point.cycles_per_px);
+  }
+  chart.lines.push_back(std::move(line));
+  return chart;
+}
+
 }  // namespace
 
 Result<std::string> EnhanceReport(const EnhancedWindow& enhanced, const PublishedScene& published, const GreyScale& grey,
@@ -128,9 +142,9 @@ Result<std::string> EnhanceReport(const EnhancedWindow& enhanced, const Publishe
   report.title = summary.outputs[0].filename().string();
   const bool tracked = published.reference->has_roi_in_sensor();
   const Roi roi = FromProto(enhanced.window->roi_in_sensor());
-  report.summary = fmt::format("{} of {} frames made one scene of {}; reference frame {} ({}).", summary.registered_count, summary.frame_count,
-                               tracked ? "a target that was followed" : "a ROI that is fixed in the sensor", summary.reference_index,
-                               summary.reference_name);
+  report.summary = fmt::format("{} of {} frames made one scene of {}; reference frame {} ({}).", summary.registered_count,
+                               summary.frame_count, tracked ? "a target that was followed" : "a ROI that is fixed in the sensor",
+                               summary.reference_index, summary.reference_name);
   report.notes = summary.notes;
   ScenePicture comparison;
   comparison.title = "Left the reference frame, enlarged bicubically; right the scene in the same view and stretch of grey";
@@ -153,13 +167,21 @@ Result<std::string> EnhanceReport(const EnhancedWindow& enhanced, const Publishe
       {"ROI in the sensor", fmt::format("{},{},{},{}", roi.x0, roi.y0, roi.width(), roi.height())},
       {"Frames", fmt::format("{}:{}; {} registered, {} lost, {} skipped", enhanced.window->frame_begin(), enhanced.window->frame_end(),
                              summary.registered_count, summary.lost_count, summary.skipped_count)},
-      {"Scene", fmt::format("{} x {} pixels, {} a sensor pixel", scene.bands[0].pixels.width(), scene.bands[0].pixels.height(), enhanced.ratio)},
+      {"Scene",
+       fmt::format("{} x {} pixels, {} a sensor pixel", scene.bands[0].pixels.width(), scene.bands[0].pixels.height(), enhanced.ratio)},
       {"Noise", fmt::format("{:.2f} grey levels", summary.noise_sigma)},
       {"Standard deviation of a scene pixel (median)", fmt::format("{:.2f} grey levels", MedianOfSeen(scene.bands[1].pixels))}};
   TREM_ASSIGN_OR_RETURN(report.charts, ChainCharts(enhanced, published, grey).Make());
-  report.files = {{summary.outputs[0].filename().string(), "the scene: intensity, standard deviation, information, residual (float32)"},
-                  {summary.outputs[1].filename().string(), "every frame: transform, gain, offset, residual, covariances, or why it is missing"},
-                  {summary.outputs[2].filename().string(), "the first picture above"}};
+  report.charts.push_back(ResolutionChart(summary.resolution));
+  if (!summary.resolution.empty()) {
+    const ResolutionPoint& last = summary.resolution.back();
+    report.numbers.emplace_back(fmt::format("Resolution, {} frames", last.frame_count),
+                                fmt::format("{:.2f} cycles a sensor pixel", last.cycles_per_px));
+  }
+  report.files = {
+      {summary.outputs[0].filename().string(), "the scene: intensity, standard deviation, information, residual (float32)"},
+      {summary.outputs[1].filename().string(), "every frame: transform, gain, offset, residual, covariances, or why it is missing"},
+      {summary.outputs[2].filename().string(), "the first picture above"}};
   return RenderSceneReport(report);
 }
 

@@ -1,206 +1,204 @@
 #include "worker/tre/psf_estimate.h"
 
-#include <algorithm>
+#include <ceres/ceres.h>
+#include <fmt/format.h>
+
 #include <array>
 #include <cmath>
 #include <map>
-#include <optional>
+#include <numbers>
+#include <utility>
+#include <vector>
 
 namespace trem {
 namespace {
 
-// Candidate widths [px], about a factor of 1.3 apart. The middle three are always tried.
-constexpr std::array<double, 6> kWidths_px = {0.28, 0.40, 0.55, 0.72, 0.95, 1.25};
-constexpr std::size_t kFirst = 1;
-constexpr std::size_t kLast = 3;
-// Part of a trial's frames that are left for the scene to settle.
-constexpr double kSettlingPart = 1.0 / 3.0;
-constexpr int kScoredFramesMin = 6;
-// Scores (log rms) of the candidates nearest the best one must differ by this much, or the likelihood is flat.
-constexpr double kCurvatureMin = 0.002;
-// Error of the estimate that the jackknife does not see: all trials share the model's simplifications.
-constexpr double kErrorFloor_px = 0.04;
-constexpr double kErrorMax_px = 0.12;
-// The same for all trials, whatever their motion.
-constexpr double kTrialForgetting = 0.985;
+// Lower frequencies are few, and what the window leaks there is not small beside the fall-off.
+constexpr double kFrequencyMin = 0.04;
+// Aliases of up to so many times the sampling frequency; beyond, detector and optics leave nothing.
+constexpr int kAliases = 2;
+constexpr double kExponent = 2.05;
+constexpr double kExponentSpread = 0.25;
+// A spectrum's deviations from the model are broad: residuals count as so many independent ones.
+constexpr double kIndependentResiduals = 25.0;
+// Log power. Statistical fluctuations are below when there are tiles enough.
+constexpr double kMisfitMin = 0.05;
+constexpr double kMisfitMax = 0.26;
+constexpr double kLossScale = 3.0;  // In units of the misfit.
+constexpr int kTilesMin = 40;
+constexpr double kSigmaMin_px = 0.15;
+constexpr double kSigmaMax_px = 1.6;
+constexpr double kErrorFloor_px = 0.075;
+constexpr double kErrorMax_px = 0.14;
+// The noise is reported when its log variance is known as well as this.
+constexpr double kNoiseErrorMax = 0.2;
 
-// log rms of the residuals, by trial and half of its scored frames.
-struct Scores {
-  std::vector<double> groups;
-  double noise_sigma = 0.0;
-  bool complete = true;
-};
+enum Parameter { kLogAmplitude, kScene, kSigma, kLogNoise, kCos2, kSin2, kCos4, kSin4, kParameterCount };
+using Parameters = std::array<double, kParameterCount>;
 
-class Search {
- public:
-  Search(std::span<const PsfTrial> trials, const EngineOptions& options, const std::function<bool(double)>& progress)
-      : trials_(trials), options_(options), progress_(progress) {
-    options_.structure_weight *= kTrialStructureWeight;
-    options_.learn_weight = false;
-    if (options_.forgetting == 0.0) options_.forgetting = kTrialForgetting;
-    options_.registration = RegistrationMethod::kGaussNewton;
-  }
+double Sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(std::numbers::pi * x) / (std::numbers::pi * x); }
 
-  Result<PsfEstimate> Run() {
-    PsfEstimate estimate;
-    // The noise that is left once the texture is explained is a better guess than what single frames show.
-    options_.noise_known = true;
-    TREM_RETURN_IF_ERROR(Try(kWidths_px[2]));
-    const Scores& first = scores_.at(kWidths_px[2]);
-    if (!first.complete) {
-      estimate.doubt = "the trial frames could not be registered";
-      return estimate;
-    }
-    if (first.noise_sigma < 0.9 * options_.noise_sigma) {
-      options_.noise_sigma = first.noise_sigma;
-      scores_.clear();
-    }
-    TREM_ASSIGN_OR_RETURN(const std::optional<std::size_t> best, FindBest());
-    if (!best.has_value()) {
-      estimate.doubt = "the trial frames could not be registered";
-      return estimate;
-    }
-    estimate.noise_sigma = scores_.at(kWidths_px[*best]).noise_sigma;
-    if (*best == 0 || *best + 1 == kWidths_px.size()) {
-      estimate.doubt = *best == 0 ? "the frames are sharper than any width that is tried" : "the likelihood does not fall for wide point spread functions";
-      return estimate;
-    }
-    Judge(*best, &estimate);
-    return estimate;
-  }
+// (log model - log power) * weight.
+struct LogPowerResidual {
+  FrameSpectrum::Bin bin;
+  double fill_factor = 0.0;
+  double weight = 1.0;
 
- private:
-  // Runs the trials with one width, unless that was done.
-  Status Try(double width_px) {
-    if (scores_.contains(width_px)) return {};
-    if (progress_ && !progress_(static_cast<double>(tried_++) / (kWidths_px.size() + 1))) return Cancelled("asked to stop");
-    EngineOptions options = options_;
-    options.psf.sigma_px = width_px;
-    Scores scores;
-    std::vector<double> spreads;
-    for (const PsfTrial& trial : trials_) {
-      const auto keep_nothing = [](int, const SceneSnapshot&) { return Status(); };
-      TREM_ASSIGN_OR_RETURN(const EngineResult result, RunMapping(trial.roi, trial.frames, options, keep_nothing, {}));
-      Score(trial, result, &scores, &spreads);
-    }
-    if (!spreads.empty()) {
-      std::nth_element(spreads.begin(), spreads.begin() + static_cast<std::ptrdiff_t>(spreads.size() / 2), spreads.end());
-      scores.noise_sigma = spreads[spreads.size() / 2];
-    }
-    scores_[width_px] = scores;
-    return {};
-  }
-
-  static void Score(const PsfTrial& trial, const EngineResult& result, Scores* scores, std::vector<double>* spreads) {
-    const std::size_t settled = static_cast<std::size_t>(std::ceil(kSettlingPart * static_cast<double>(trial.frames.size())));
-    std::vector<double> logs;
-    // One segment only: another one begins with a new scene that has not settled.
-    if (result.segments.size() == 1) {
-      const std::vector<ChainEntry>& chain = result.segments.front().chain;
-      for (std::size_t k = settled; k < chain.size(); ++k) {
-        const Registration& registration = chain[k].registration;
-        if (!(registration.residual_rms > 0.0)) continue;
-        logs.push_back(std::log(registration.residual_rms));
-        spreads->push_back(registration.residual_sigma);
+  template <typename T>
+  bool operator()(const T* p, T* residual) const {
+    using std::exp;
+    using std::log;
+    T power = exp(p[kLogNoise]);
+    for (int k = -kAliases; k <= kAliases; ++k) {
+      for (int l = -kAliases; l <= kAliases; ++l) {
+        const double fx = bin.fx + k;
+        const double fy = bin.fy + l;
+        const double squared = fx * fx + fy * fy;
+        const double angle = std::atan2(fy, fx);
+        const double box = std::pow(Sinc(fill_factor * fx) * Sinc(fill_factor * fy), 2);
+        const double optics = 4.0 * std::numbers::pi * std::numbers::pi * squared;
+        power += box * exp(p[kLogAmplitude] - 0.5 * std::log(squared) * p[kScene] - optics * p[kSigma] * p[kSigma] +
+                           std::cos(2.0 * angle) * p[kCos2] + std::sin(2.0 * angle) * p[kSin2] + std::cos(4.0 * angle) * p[kCos4] +
+                           std::sin(4.0 * angle) * p[kSin4]);
       }
     }
-    if (logs.size() < kScoredFramesMin) {
-      scores->complete = false;
-      return;
-    }
-    const std::size_t half = logs.size() / 2;
-    const auto mean = [&logs](std::size_t begin, std::size_t end) {
-      double sum = 0.0;
-      for (std::size_t k = begin; k < end; ++k) sum += logs[k];
-      return sum / static_cast<double>(end - begin);
-    };
-    scores->groups.push_back(mean(0, half));
-    scores->groups.push_back(mean(half, logs.size()));
+    residual[0] = (log(power) - std::log(bin.power)) * weight;
+    return true;
   }
+};
 
-  // Mean score of a width; `left_out`: a group that does not count.
-  double Mean(double width_px, std::optional<std::size_t> left_out) const {
-    const Scores& scores = scores_.at(width_px);
+struct ExponentPrior {
+  template <typename T>
+  bool operator()(const T* p, T* residual) const {
+    residual[0] = (p[kScene] - kExponent) / kExponentSpread;
+    return true;
+  }
+};
+
+// Rings have bins in proportion to their frequency; each ring counts alike.
+double RingWeight(const FrameSpectrum::Bin& bin) { return 1.0 / std::sqrt(std::hypot(bin.fx, bin.fy)); }
+
+struct Fit {
+  bool converged = false;
+  double misfit = 0.0;
+  double sigma_error_px = 0.0;
+  double log_noise_error = 0.0;
+};
+
+// Rms over polar cells of the mean deviation of the log power from the model. Single bins fluctuate, whatever the ground.
+double Misfit(const std::vector<FrameSpectrum::Bin>& bins, double fill_factor, const Parameters& p) {
+  constexpr double kRing = 0.05;
+  constexpr int kSectors = 8;
+  struct Cell {
     double sum = 0.0;
     int count = 0;
-    for (std::size_t g = 0; g < scores.groups.size(); ++g) {
-      if (left_out == g) continue;
-      sum += scores.groups[g];
-      ++count;
-    }
-    return sum / count;
-  }
-
-  // Index of the best width, with both neighbours tried where there are any; nothing when a trial fails.
-  Result<std::optional<std::size_t>> FindBest() {
-    std::size_t low = kFirst;
-    std::size_t high = kLast;
-    while (true) {
-      for (std::size_t i = low; i <= high; ++i) {
-        TREM_RETURN_IF_ERROR(Try(kWidths_px[i]));
-        if (!scores_.at(kWidths_px[i]).complete) return std::optional<std::size_t>();
-      }
-      std::size_t best = low;
-      for (std::size_t i = low; i <= high; ++i) {
-        if (Mean(kWidths_px[i], {}) < Mean(kWidths_px[best], {})) best = i;
-      }
-      if (best == low && low > 0) {
-        --low;
-      } else if (best == high && high + 1 < kWidths_px.size()) {
-        ++high;
-      } else {
-        return std::optional<std::size_t>(best);
-      }
-    }
-  }
-
-  // Vertex of the parabola through the best width and its neighbours, and half the second difference per log width squared.
-  struct Vertex {
-    double sigma_px = 0.0;
-    double curvature = 0.0;
   };
-  Vertex VertexAt(std::size_t best, std::optional<std::size_t> left_out) const {
-    std::array<double, 3> x{};
-    std::array<double, 3> y{};
-    for (std::size_t i = 0; i < 3; ++i) {
-      x[i] = std::log(kWidths_px[best - 1 + i]);
-      y[i] = Mean(kWidths_px[best - 1 + i], left_out);
-    }
-    const double below = (y[1] - y[0]) / (x[1] - x[0]);
-    const double above = (y[2] - y[1]) / (x[2] - x[1]);
-    const double curvature = (above - below) / (x[2] - x[0]);
-    if (!(curvature > 0.0)) return {kWidths_px[best], 0.0};
-    return {std::exp(std::clamp(0.5 * (x[0] + x[1]) - 0.5 * below / curvature, x[0], x[2])), curvature};
+  std::map<std::pair<int, int>, Cell> cells;
+  for (const FrameSpectrum::Bin& bin : bins) {
+    double residual = 0.0;
+    LogPowerResidual{bin, fill_factor, 1.0}(p.data(), &residual);
+    const auto ring = static_cast<int>(std::hypot(bin.fx, bin.fy) / kRing);
+    const auto sector = static_cast<int>(std::atan2(bin.fy, bin.fx) / std::numbers::pi * kSectors);
+    Cell& cell = cells[{ring, sector}];
+    cell.sum += residual;
+    ++cell.count;
   }
+  double sum = 0.0;
+  for (const auto& [place, cell] : cells) sum += std::pow(cell.sum / cell.count, 2);
+  return std::sqrt(sum / static_cast<double>(cells.size()));
+}
 
-  void Judge(std::size_t best, PsfEstimate* estimate) const {
-    const Vertex vertex = VertexAt(best, {});
-    const double rise = std::max(Mean(kWidths_px[best - 1], {}), Mean(kWidths_px[best + 1], {})) - Mean(kWidths_px[best], {});
-    const std::size_t groups = scores_.at(kWidths_px[best]).groups.size();
-    double sum = 0.0;
-    for (std::size_t g = 0; g < groups; ++g) sum += std::pow(VertexAt(best, g).sigma_px - vertex.sigma_px, 2);
-    const double n = static_cast<double>(groups);
-    estimate->sigma_px = vertex.sigma_px;
-    estimate->error_px = std::hypot(std::sqrt((n - 1.0) / n * sum), kErrorFloor_px);
-    if (vertex.curvature == 0.0 || rise < kCurvatureMin) {
-      estimate->doubt = "all widths predict the frames about as well";
-    } else if (estimate->error_px > kErrorMax_px) {
-      estimate->doubt = "the trials disagree";
-    }
+// Fits `p`, which holds the start. `misfit`: the expected rms of the log power about the model.
+Fit FitModel(const std::vector<FrameSpectrum::Bin>& bins, double fill_factor, double misfit, Parameters* p) {
+  double weight_sum = 0.0;
+  for (const FrameSpectrum::Bin& bin : bins) weight_sum += std::pow(RingWeight(bin), 2);
+  const double scale = std::sqrt(kIndependentResiduals / weight_sum) / misfit;
+  ceres::Problem problem;
+  for (const FrameSpectrum::Bin& bin : bins) {
+    const double weight = scale * RingWeight(bin);
+    auto* loss = new ceres::SoftLOneLoss(kLossScale * misfit * weight);
+    problem.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<LogPowerResidual, 1, kParameterCount>(new LogPowerResidual{bin, fill_factor, weight}), loss,
+        p->data());
   }
+  problem.AddResidualBlock(new ceres::AutoDiffCostFunction<ExponentPrior, 1, kParameterCount>(new ExponentPrior), nullptr, p->data());
+  problem.SetParameterLowerBound(p->data(), kSigma, 0.01);
+  problem.SetParameterUpperBound(p->data(), kSigma, 3.0);
+  problem.SetParameterLowerBound(p->data(), kLogNoise, -12.0);
+  problem.SetParameterUpperBound(p->data(), kLogNoise, 12.0);
+  ceres::Solver::Options options;
+  options.max_num_iterations = 100;
+  options.num_threads = 1;
+  options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem, &summary);
+  Fit fit;
+  fit.converged = summary.IsSolutionUsable();
+  fit.misfit = Misfit(bins, fill_factor, *p);
+  ceres::Covariance::Options covariance_options;
+  covariance_options.algorithm_type = ceres::DENSE_SVD;
+  covariance_options.null_space_rank = -1;
+  ceres::Covariance covariance(covariance_options);
+  Eigen::Matrix<double, kParameterCount, kParameterCount, Eigen::RowMajor> matrix;
+  if (fit.converged && covariance.Compute(std::vector<const double*>{p->data()}, &problem) &&
+      covariance.GetCovarianceBlock(p->data(), p->data(), matrix.data())) {
+    fit.sigma_error_px = std::sqrt(matrix(kSigma, kSigma));
+    fit.log_noise_error = std::sqrt(matrix(kLogNoise, kLogNoise));
+  } else {
+    fit.converged = false;
+  }
+  return fit;
+}
 
-  std::span<const PsfTrial> trials_;
-  EngineOptions options_;
-  const std::function<bool(double)>& progress_;
-  std::map<double, Scores> scores_;
-  int tried_ = 0;
-};
+double Rounded(double x) { return std::round(1000.0 * x) / 1000.0; }
 
 }  // namespace
 
-Result<PsfEstimate> EstimatePsfSigma(std::span<const PsfTrial> trials, const EngineOptions& options, const std::function<bool(double)>& progress) {
-  if (trials.empty()) return PsfEstimate{0.0, 0.0, 0.0, "there are too few frames or too little texture"};
-  return Search(trials, options, progress).Run();
+PsfEstimate EstimatePsfSigma(const FrameSpectrum& spectrum, double fill_factor) {
+  PsfEstimate estimate;
+  if (spectrum.tile_count() < kTilesMin) {
+    estimate.doubt = fmt::format("there are too few frames or too small ones: {} tiles of {} x {} px, {} are needed", spectrum.tile_count(),
+                                 FrameSpectrum::kSide, FrameSpectrum::kSide, kTilesMin);
+    return estimate;
+  }
+  const std::vector<FrameSpectrum::Bin> bins = spectrum.Bins(kFrequencyMin);
+  double least = bins.empty() ? 0.0 : bins.front().power;
+  double most = least;
+  for (const FrameSpectrum::Bin& bin : bins) {
+    least = std::min(least, bin.power);
+    most = std::max(most, bin.power);
+  }
+  if (bins.empty() || most < 4.0 * least) {
+    estimate.doubt = "the frames show noise and no texture";
+    return estimate;
+  }
+  Parameters p{};
+  p[kLogAmplitude] = std::log(most) + kExponent * std::log(kFrequencyMin);
+  p[kScene] = kExponent;
+  p[kSigma] = 0.5;
+  p[kLogNoise] = std::log(least);
+  Fit fit = FitModel(bins, fill_factor, 2.0 * kMisfitMin, &p);
+  if (fit.converged) fit = FitModel(bins, fill_factor, std::max(fit.misfit, kMisfitMin), &p);
+  if (!fit.converged) {
+    estimate.doubt = "no model fits the frames' spectrum";
+    return estimate;
+  }
+  estimate.sigma_px = Rounded(p[kSigma]);
+  estimate.error_px = Rounded(std::hypot(fit.sigma_error_px, kErrorFloor_px));
+  estimate.scene_exponent = Rounded(p[kScene]);
+  estimate.misfit = Rounded(fit.misfit);
+  // A floor far below everything that is there is no measurement.
+  if (fit.log_noise_error < kNoiseErrorMax && std::exp(p[kLogNoise]) > 0.1 * least)
+    estimate.noise_sigma = Rounded(std::exp(0.5 * p[kLogNoise]));
+  if (fit.misfit > kMisfitMax) {
+    estimate.doubt = fmt::format(
+        "the frames' spectrum is not that of open ground under a Gaussian blur: it deviates by {:.2f} in the logarithm", fit.misfit);
+  } else if (estimate.sigma_px < kSigmaMin_px || estimate.sigma_px > kSigmaMax_px) {
+    estimate.doubt = fmt::format("{:.2f} px is no width of a sensor's", estimate.sigma_px);
+  } else if (estimate.error_px > kErrorMax_px) {
+    estimate.doubt = fmt::format("noise hides the fall-off: the error would be {:.2f} px", estimate.error_px);
+  }
+  return estimate;
 }
 
 }  // namespace trem

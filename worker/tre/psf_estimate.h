@@ -1,41 +1,34 @@
 #pragma once
 
-#include <functional>
-#include <span>
 #include <string>
-#include <vector>
 
-#include "mosaic/base/status.h"
-#include "worker/tre/engine_options.h"
-#include "worker/tre/mapping_engine.h"
+#include "worker/tre/frame_spectrum.h"
 
 namespace trem {
 
-// A short stretch of a sortie to try PSFs on: one ROI over successive frames.
-struct PsfTrial {
-  Roi roi;
-  std::vector<FrameInput> frames;
-};
-
-// The width of the Gaussian part of the PSF that predicts the trials' frames best.
+// The width of the Gaussian part of the PSF, and the white noise, as the frames' power spectrum shows them.
 struct PsfEstimate {
-  double sigma_px = 0.0;     // 0: nothing could be estimated, and `doubt` says why.
-  double error_px = 0.0;     // Standard error.
-  double noise_sigma = 0.0;  // Robust spread of the prediction's residuals at that width, internal grey levels; 0: none.
-  std::string doubt;         // Empty: the estimate can be used.
+  double sigma_px = 0.0;        // 0: nothing could be estimated, and `doubt` says why.
+  double error_px = 0.0;        // Standard error.
+  double noise_sigma = 0.0;     // White noise [grey levels of the frames], quantisation included; 0: the spectrum does not show it.
+  double scene_exponent = 0.0;  // The ground's spectrum falls with this power of the frequency.
+  double misfit = 0.0;          // Rms of the log power about the model.
+  std::string doubt;            // Empty: the estimate can be used.
 };
 
-// Runs the engine on every trial with some candidate widths. The score of a width is the one-step-ahead predictive likelihood: each frame is
-// registered to the scene made of the frames before it, and the mean log of the residual's rms over the later frames falls as the model
-// gets better. Too narrow a PSF lets the frames' noise through into the prediction; too wide a one asks for a scene that the frames
-// contradict. The minimum of the parabola (in log sigma) through the best candidate and its neighbours is the estimate; its error is that
-// of a jackknife over trials and halves of their frames, together with a floor for what simulations show beyond that.
+// Open ground, like every picture of objects that hide one another, has a power spectrum that falls with a power of the frequency near 2
+// (D. L. Ruderman, Origins of scaling in natural images, Vision Research 37, 1997). What the frames show less at high frequencies the
+// sensor has taken:
 //
-// The scenes are regularised kTrialStructureWeight times as much as usual, which puts the minimum at or a little below the truth: a PSF that
-// is too wide costs more than one that is too narrow. Cost: 4 to 7 runs of the engine a trial. Deterministic.
-// kCancelled when `progress` (may be empty; called with the fraction done) says false.
-Result<PsfEstimate> EstimatePsfSigma(std::span<const PsfTrial> trials, const EngineOptions& options, const std::function<bool(double)>& progress);
-
-inline constexpr double kTrialStructureWeight = 1.7;
+//   P(f) = sum over aliases k of A(angle) |f + k|^-b exp(-4 pi^2 sigma^2 |f + k|^2) box(f + k)^2 + N
+//
+// with box the transfer function of a detector of `fill_factor` px, log A a Fourier series of the angle to the fourth harmonic (roads
+// and rows of houses have directions), and b about 2.05 +- 0.25. A, b, sigma and N are fitted to the log of the averaged power, robustly. A
+// fall-off is the same at any scale, so perspective and zoom do no harm.
+//
+// The error is that of the fit, with as many independent residuals as there are features a spectrum deviates by (about 25), and not less
+// than what photographs of known blur show. Doubt: too few tiles, power that fits no such model (strong compression, periodic
+// structures), or noise that hides the fall-off. Deterministic: values are rounded to 0.001.
+PsfEstimate EstimatePsfSigma(const FrameSpectrum& spectrum, double fill_factor);
 
 }  // namespace trem

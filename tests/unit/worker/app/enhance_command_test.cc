@@ -10,6 +10,7 @@
 #include <cmath>
 #include <filesystem>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <string>
 #include <vector>
@@ -225,6 +226,27 @@ TEST_F(EnhanceCommand, LeavesFourFilesNamedAfterTheOutput) {
   std::size_t files = 0;
   for (const auto& entry : fs::directory_iterator(temp.path())) files += entry.is_regular_file() ? 1 : 0;
   EXPECT_EQ(files, 4U) << "nothing temporary stays";
+}
+
+TEST_F(EnhanceCommand, TheResolutionIsMeasuredAgainstTheNumberOfFramesUnlessItIsNotAskedFor) {
+  const TempDir temp;
+  const Outcome outcome = RunCommand({Frames(), "--json", "-q", "-o", (temp / "a.tif").string()});
+  ASSERT_EQ(outcome.code, 0) << outcome.err;
+  const auto points = nlohmann::json::parse(outcome.out)["resolution"];
+  ASSERT_EQ(points.size(), 2U) << "of 4 and of 10 frames";
+  EXPECT_EQ(points[0]["frames"], 4);
+  EXPECT_EQ(points[1]["frames"], 10);
+  for (const auto& point : points) {
+    EXPECT_GT(point["cycles_per_px"], 0.4);
+    EXPECT_LT(point["cycles_per_px"], 1.2);
+  }
+  EXPECT_GT(points[1]["cycles_per_px"], points[0]["cycles_per_px"]);
+  EXPECT_THAT(FileContents(temp / "a_report.html"), HasSubstr("Resolution, 10 frames"));
+
+  const Outcome without = RunCommand({Frames(), "--resolution-frames", "0", "--json", "-q", "-o", (temp / "b.tif").string()});
+  ASSERT_EQ(without.code, 0) << without.err;
+  EXPECT_TRUE(nlohmann::json::parse(without.out)["resolution"].empty());
+  EXPECT_EQ(FileContents(temp / "a.tif"), FileContents(temp / "b.tif"));
 }
 
 TEST_F(EnhanceCommand, TheNumberOfThreadsChangesNoByte) {
