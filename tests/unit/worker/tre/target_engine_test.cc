@@ -9,6 +9,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <opencv2/imgproc.hpp>
 #include <vector>
@@ -25,7 +26,7 @@ using ::testing::HasSubstr;
 
 constexpr int kWidth = 200;
 constexpr int kHeight = 130;
-constexpr int kFine = 4;  // Samples a sensor pixel and axis.
+constexpr int kFine = 4;   // Samples a sensor pixel and axis.
 constexpr int kCells = 3;  // Of truth, a sensor pixel.
 constexpr int kTargetWidth = 38;
 constexpr int kTargetHeight = 30;
@@ -43,26 +44,28 @@ Image<float> Markings(int width_px, int height_px, std::uint64_t seed) {
 
 // A rectangle of picture at a place in the sensor.
 struct Sprite {
-  const Image<float>* picture = nullptr;  // kCells a sensor pixel.
-  Eigen::Vector2d centre;                 // Sensor px.
+  const Image<float>* picture = nullptr;                              // kCells a sensor pixel.
+  Eigen::Vector2d centre;                                             // Sensor px.
   Eigen::Matrix2d picture_from_sensor = Eigen::Matrix2d::Identity();  // Turned by its angle.
 };
 
 struct World {
   int frame_count = 40;
-  Eigen::Vector2d start{60.3, 50.2};       // Of the target's centre.
-  Eigen::Vector2d velocity{1.7, 0.45};     // In the sensor, px a frame.
-  double swing = 0.01;                     // Of its heading, rad.
-  int hidden_begin = 0;                    // Frames in which foliage covers it.
+  Eigen::Vector2d start{60.3, 50.2};    // Of the target's centre.
+  Eigen::Vector2d velocity{1.7, 0.45};  // In the sensor, px a frame.
+  double swing = 0.01;                  // Of its heading, rad.
+  int hidden_begin = 0;                 // Frames in which foliage covers it.
   int hidden_end = 0;
-  std::optional<Eigen::Vector2d> decoy;    // A look-alike so far from the target.
+  std::optional<Eigen::Vector2d> decoy;  // A look-alike so far from the target.
   bool decoy_is_a_copy = false;
-  Image<float> ground = testing::ProceduralTruth(kCells * (kWidth + 180), kCells * (kHeight + 60), 11);
+  Image<float> ground = testing::ProceduralTruth(kCells * (kWidth + 180), kCells*(kHeight + 60), 11);
   Image<float> target = Markings(kTargetWidth, kTargetHeight, 12);
   Image<float> other = Markings(kTargetWidth, kTargetHeight, 13);
   Image<float> foliage = Markings(64, 56, 14);
 
-  Eigen::Vector2d CentreAt(int t) const { return start + t * velocity + Eigen::Vector2d(0.3 * std::sin(1.9 * t), 0.25 * std::cos(2.6 * t)); }
+  Eigen::Vector2d CentreAt(int t) const {
+    return start + t * velocity + Eigen::Vector2d(0.3 * std::sin(1.9 * t), 0.25 * std::cos(2.6 * t));
+  }
   double AngleAt(int t) const { return swing * std::sin(0.2 * t); }
   Roi RoiAt(int t) const {
     const Eigen::Vector2d c = CentreAt(t);
@@ -129,11 +132,15 @@ struct Tracked {
   }
 };
 
-Tracked Track(const World& world, const TargetRequest& request) {
+// `symbol`: pixels of the sensor that an overlay covers in every frame; they are masked.
+Tracked Track(const World& world, const TargetRequest& request, EngineOptions options = {}, const Roi& symbol = {}) {
   Tracked tracked;
   const TargetFrames frames = [&](int t) -> Result<TargetFrame> {
     TargetFrame frame;
     frame.pixels = world.Render(t);
+    for (int y = symbol.y0; y < symbol.y1; ++y) {
+      for (int x = symbol.x0; x < symbol.x1; ++x) frame.pixels.at(x, y) = std::numeric_limits<float>::quiet_NaN();
+    }
     if (t > 0) frame.previous_from_current = Affine{Eigen::Matrix2d::Identity(), world.CameraAt(t) - world.CameraAt(t - 1)};
     return frame;
   };
@@ -141,7 +148,6 @@ Tracked Track(const World& world, const TargetRequest& request) {
     tracked.snapshots.push_back(snapshot);
     return Status{};
   };
-  EngineOptions options;
   options.noise_sigma = kNoise;
   Result<EngineResult> result = RunTarget(request, frames, options, sink, {});
   tracked.status = result.status();
@@ -290,7 +296,40 @@ TEST(TargetEngine, RefusesWhatCannotBeTracked) {
 
   const TargetFrames unusable = [](int) -> Result<TargetFrame> { return TargetFrame{"is blank", {}, {}, {}}; };
   const SnapshotSink sink = [](int, const SceneSnapshot&) { return Status{}; };
-  EXPECT_THAT(RunTarget(RequestIn(world, 3), unusable, {}, sink, {}).status().message(), HasSubstr("frame 3 is blank; choose another frame"));
+  EXPECT_THAT(RunTarget(RequestIn(world, 3), unusable, {}, sink, {}).status().message(),
+              HasSubstr("frame 3 is blank; choose another frame"));
+}
+
+TEST(TargetEngine, ProjectiveViewsFollowATargetAsWell) {
+  const World world;
+  EngineOptions options;
+  options.view_model = ViewModel::kProjective;
+  const Tracked tracked = Track(world, RequestIn(world, 17), options);
+  ASSERT_TRUE(tracked.status.ok()) << tracked.status.message();
+  ASSERT_EQ(tracked.result.segments[0].chain.size(), 40U);
+  for (const ChainEntry& entry : tracked.result.segments[0].chain) {
+    EXPECT_LT(CentreError(world, entry, 17), 0.12) << "frame " << entry.frame_index;
+    EXPECT_EQ(entry.registration.corner_covariance.rows(), 8) << "frame " << entry.frame_index;
+  }
+  const auto [scene_db, bicubic_db] = ScoreScene(world, tracked, 17);
+  EXPECT_GT(scene_db, bicubic_db + 3.0);
+}
+
+TEST(TargetEngine, ATargetIsFollowedBehindAMaskedSymbol) {
+  const World world;
+  // A bar of a crosshair, across which the target moves: what it covers is NaN, and the scene is whole all the same.
+  const Roi symbol{92, 20, 96, 110};
+  const Tracked tracked = Track(world, RequestIn(world, 0), {}, symbol);
+  ASSERT_TRUE(tracked.status.ok()) << tracked.status.message();
+  int behind = 0;
+  for (int t = 0; t < world.frame_count; ++t) {
+    ASSERT_NE(tracked.EntryOf(t), nullptr) << "frame " << t << ": " << tracked.result.frames[static_cast<std::size_t>(t)].reason;
+    EXPECT_LT(CentreError(world, *tracked.EntryOf(t), 0), 0.15) << "frame " << t;
+    behind += Intersect(world.RoiAt(t), symbol).empty() ? 0 : 1;
+  }
+  EXPECT_GT(behind, 10) << "the symbol has to be in the way, or nothing is tested";
+  const auto [scene_db, bicubic_db] = ScoreScene(world, tracked, 0);
+  EXPECT_GT(scene_db, bicubic_db + 2.5);
 }
 
 TEST(TargetEngine, TwoRunsGiveTheSameBytes) {
