@@ -63,7 +63,9 @@ Result<std::unique_ptr<LocalFleet>> LocalFleet::Start(const LocalFleetOptions& o
                   "--outages-max", "3"});
   for (int i = 1; i <= options.worker_count; ++i) {
     fleet->AddSlot("worker-" + std::to_string(i), {(options.program_folder / "trem-worker").string(), "serve", "--coordinator",
-                                                   fleet->endpoint_, "--store", (work / "store").string()});
+                                                   fleet->endpoint_, "--store", (work / "store").string(),
+                                                   // This coordinator asks for no keys, whatever TREM_KEY says for another one.
+                                                   "--key", "", "--coordinator-key", ""});
   }
   for (Slot& slot : fleet->slots_) {
     TREM_ASSIGN_OR_RETURN(slot.pid, StartChild(slot.argv, slot.log_path));
