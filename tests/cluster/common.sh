@@ -46,8 +46,8 @@ wait_for() {
   return 1
 }
 free_port() { python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
-# simulate FRAMES: a small sortie in $work/sortie; `settings` cuts it into many tasks. alone: $work/alone.tif, what `trem run` makes of it.
-simulate() { "$bin/trem" simulate -o "$work/sortie" --quiet --width 128 --height 100 --frames "$1" --speed-px 2 --terrain-width 800 --terrain-height 800; }
+# simulate FRAMES [TRUTH_CELLS]: a small sortie in $work/sortie; `settings` cuts it into many tasks. alone: $work/alone.tif, what `trem run` makes of it.
+simulate() { "$bin/trem" simulate -o "$work/sortie" --quiet --width 128 --height 100 --frames "$1" --speed-px 2 --terrain-width "${2:-800}" --terrain-height 800; }
 settings=(--set windows.roi_px=81 --set windows.roi_overlap_px=30 --set windows.frames=16 --set windows.frame_overlap=6 --set mosaic.tile_px=256)
 alone() { "$bin/trem" run "$work/sortie/sortie.textproto" -o "$work/alone.tif" --quiet "${settings[@]}"; }
 # percent JOB: how much of it is done.
