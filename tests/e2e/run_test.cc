@@ -121,11 +121,10 @@ TEST_F(RunTest, GivesTheSameBytesForOneTwoAndThreeWorkers) {
 
 // Whoever talks to a standing service has its keys in the environment; the coordinator of a run on this machine asks for none.
 TEST_F(RunTest, HeedsNoKeysOfAnotherCoordinator) {
-  const fs::path sortie = fixture_.SimulateSortie("sortie", 8);
   const fs::path output = fixture_.NewFolder("out") / "mosaic.tif";
   SubprocessOptions options = fixture_.Options();
   for (const char* name : {"TREM_KEY", "TREM_COORDINATOR_KEY"}) options.environment.push_back(std::string(name) + "=/nowhere/ann.key");
-  const Completed run = RunProgram(RunFixture::RunArguments(sortie / "sortie.textproto", output), std::chrono::minutes(2), options);
+  const Completed run = RunProgram(RunFixture::RunArguments(sortie_, output), std::chrono::minutes(2), options);
   EXPECT_EQ(run.exit_code, 0) << run.stderr_text;
 }
 
