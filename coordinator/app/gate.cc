@@ -28,6 +28,7 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kProgress:
     case v1::Envelope::kDone:
     case v1::Envelope::kGoodbye:
+    case v1::Envelope::kTaskLog:
       return role == v1::WORKER;
     case v1::Envelope::kSubmitJob:
     case v1::Envelope::kGetJob:
@@ -35,7 +36,9 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kCancelJob:
     case v1::Envelope::kRetryJob:
     case v1::Envelope::kListWorkers:
+    case v1::Envelope::kGetLog:
       return asks;
+    case v1::Envelope::kBackup:
     case v1::Envelope::kDrainWorker:
     case v1::Envelope::kShutdown:
       return role == v1::ADMIN;

@@ -12,9 +12,11 @@
 #include <iostream>
 #include <memory>
 #include <string>
+#include <string_view>
 
 #include "coordinator/app/gate.h"
 #include "coordinator/app/monitoring.h"
+#include "coordinator/app/restore_command.h"
 #include "coordinator/app/shell.h"
 #include "coordinator/data/artefact_server.h"
 #include "mosaic/base/exit_code.h"
@@ -46,6 +48,7 @@ struct CommandLine {
   std::string data_endpoint;
   ArtefactServerOptions data;
   std::string ready_file;
+  std::string backup_folder;
   std::string key_path;
   std::string allow_folder;
   int connections_max = 4096;
@@ -77,6 +80,11 @@ void Describe(CLI::App* app, CommandLine* options) {
   app->add_option("--connections-max", options->connections_max, "Further connections are closed")
       ->check(CLI::Range(1, 1'000'000))
       ->capture_default_str();
+  app->add_option("--backups", options->backup_folder, "Folder for what `trem backup` makes; default: backups in --state");
+  app->add_option("--job-log-bytes-max", options->shell.job_log.job_bytes_max, "What `trem logs` keeps of a job")
+      ->check(CLI::Range(65'536UL, 64UL << 20))
+      ->capture_default_str();
+  app->add_option("--logs-bytes-max", options->shell.job_log.bytes_max, "What it keeps of all jobs together")->capture_default_str();
   app->add_option("--ready-file", options->ready_file,
                   "Write the endpoint, with its real port, and the --http address to this file once bound");
   app->add_option("--log-level", options->log_level, "trace, debug, info, warn, error or off")->capture_default_str();
@@ -104,6 +112,7 @@ void Describe(CLI::App* app, CommandLine* options) {
       ->check(CLI::Range(0.0, 1000.0))
       ->capture_default_str();
   app->footer(
+      "'trem-coordinator restore --help': putting a backup back.\n\n"
       "Examples:\n  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind tcp://127.0.0.1:7411\n"
       "  trem-coordinator --state /var/lib/trem/state --store /srv/trem/store --bind 'tcp://*:7411' --key coordinator.key --allow "
       "allowed/");
@@ -114,6 +123,11 @@ Status TieToParent(pid_t parent) {
   if (prctl(PR_SET_PDEATHSIG, SIGTERM) != 0) return FromErrno("prctl(PR_SET_PDEATHSIG)", errno);
   if (getppid() != parent) return Cancelled("the process that started this one has ended");
   return {};
+}
+
+std::uint64_t WallClockMs() {
+  return static_cast<std::uint64_t>(
+      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
 }
 
 TimeMs NowMs() {
@@ -174,10 +188,11 @@ v1::Envelope DataLaneAnswer(const ArtefactServer* data_lane) {
 
 Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monitoring) {
   TimeMs last_tick_ms = 0;
+  bool is_busy = false;  // There is something to go on with when nobody asks for anything.
   while (!stop_requested && !shell->shutdown_requested()) {
     bool drained = false;
     for (int i = 0; i < kBatchMax && !drained; ++i) {
-      auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 ? kTickIntervalMs : 0));
+      auto incoming = channel->Poll(std::chrono::milliseconds(i == 0 && !is_busy ? kTickIntervalMs : 0));
       drained = !incoming.has_value();
       if (drained) break;
       const TimeMs arrived_ms = NowMs();
@@ -201,6 +216,7 @@ Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate
     }
     monitoring->BeginCommit();
     TREM_RETURN_IF_ERROR(shell->Flush());
+    is_busy = shell->Maintain();
     monitoring->Observe(now_ms, *channel, *gate, shell->scheduler());
   }
   return {};
@@ -219,6 +235,10 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<Monitoring> monitoring, Monitoring::Start(options.http));
   ShellOptions shell_options = options.shell;
   if (is_elsewhere) shell_options.store_elsewhere = options.store_folder;
+  const std::filesystem::path state_folder = std::filesystem::absolute(options.state_folder).lexically_normal();
+  shell_options.job_log_folder = state_folder / "logs";
+  shell_options.backup_folder = options.backup_folder.empty() ? state_folder / "backups" : std::filesystem::absolute(options.backup_folder);
+  shell_options.wall_clock_ms = WallClockMs;
   shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
   // Bound after the log was read: until then peers see nobody and queue nothing.
   std::unique_ptr<RouterChannel> channel;
@@ -240,6 +260,7 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
 }
 
 int Main(int argc, char** argv) {
+  if (argc > 1 && std::string_view(argv[1]) == "restore") return RunRestoreCommand(argc - 1, argv + 1);
   const pid_t parent = getppid();
   CLI::App app{"Hands the tasks of mapping jobs to trem workers and keeps what they found.", "trem-coordinator"};
   app.set_version_flag("--version", TREM_VERSION);

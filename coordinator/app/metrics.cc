@@ -131,7 +131,8 @@ void Metrics::ObserveTraffic(const ChannelCounters& channel, const GateCounters&
 }
 
 void Metrics::ObserveFleet(std::span<const v1::JobStatus> jobs, std::size_t worker_count) {
-  std::map<v1::JobState, int> by_state = {{v1::JOB_RUNNING, 0}, {v1::JOB_DONE, 0}, {v1::JOB_FAILED, 0}, {v1::JOB_CANCELLED, 0}};
+  std::map<v1::JobState, int> by_state = {
+      {v1::JOB_RUNNING, 0}, {v1::JOB_DONE, 0}, {v1::JOB_FAILED, 0}, {v1::JOB_CANCELLED, 0}, {v1::JOB_DONE_IN_PART, 0}};
   std::uint64_t waiting = 0;
   std::uint64_t running = 0;
   for (const v1::JobStatus& job : jobs) {

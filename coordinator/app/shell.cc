@@ -45,7 +45,9 @@ Shell::Shell(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const 
       artefacts_(std::move(artefacts)),
       options_(options),
       send_(std::move(send)),
-      scheduler_(options.scheduler) {}
+      scheduler_(options.scheduler) {
+  if (!options_.job_log_folder.empty()) job_log_ = std::make_unique<JobLog>(options_.job_log_folder, options_.job_log);
+}
 
 Result<std::unique_ptr<Shell>> Shell::Create(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options,
                                              SendFunction send) {
@@ -76,14 +78,7 @@ Status Shell::Replay() {
 
 void Shell::CompactWhenLong() {
   if (events_->event_count() <= std::max(options_.compact_after_events, 2 * events_->snapshot_count())) return;
-  const std::uint64_t before = events_->event_count() + events_->snapshot_count();
-  const Status status = events_->Compact(scheduler_.Snapshot());
-  if (status.ok()) {
-    spdlog::info("the log of {} events was replaced by a snapshot of {}", before, events_->snapshot_count());
-  } else {
-    spdlog::warn("the log stays long: {}", status.message());
-    options_.compact_after_events *= 2;  // Not at every message.
-  }
+  if (!events_->is_compacting()) events_->BeginCompaction(scheduler_.BeginSnapshot());
 }
 
 bool Shell::ArtefactsArePresent(const v1::TaskCommitted& committed) const {
@@ -106,6 +101,7 @@ void Shell::Take(const Effect& effect) {
   if (const auto* append = std::get_if<AppendEffect>(&effect)) {
     unlogged_.push_back(append->event);
   } else if (const auto* dispatch = std::get_if<DispatchEffect>(&effect)) {
+    NoteTask(dispatch->task.key(), dispatch->attempt, dispatch->worker_id, "handed out");
     LogWith(spdlog::level::debug, v1::TaskKind_Name(dispatch->task.kind()) + " handed out",
             {{"task", dispatch->task.key()}, {"attempt", std::to_string(dispatch->attempt)}, {"worker", dispatch->worker_id}});
     *envelope.mutable_dispatch()->mutable_task() = dispatch->task;
@@ -124,10 +120,15 @@ void Shell::Take(const Effect& effect) {
     SendToWorker(drain->worker_id, std::move(envelope));
   } else if (const auto* changed = std::get_if<JobChangedEffect>(&effect)) {
     const auto status = scheduler_.JobStatus(changed->job_id);
-    LogWith(spdlog::level::info, v1::JobState_Name(status->state()) + (status->error().empty() ? "" : ": ") + status->error(),
-            {{"job", changed->job_id}});
+    const std::string text = v1::JobState_Name(status->state()) + (status->error().empty() ? "" : ": ") + status->error();
+    LogWith(spdlog::level::info, text, {{"job", changed->job_id}});
+    v1::LogLine line;
+    line.set_text(text);
+    line.set_warning(status->state() == v1::JOB_FAILED);
+    NoteJob(changed->job_id, std::move(line));
   } else if (const auto* log = std::get_if<LogEffect>(&effect)) {
     spdlog::warn("{}", log->text);
+    NoteTask(log->task_key, 0, "", log->text, true);
   }
 }
 
@@ -143,6 +144,7 @@ Status Shell::Flush() {
   is_full_ = false;
   if (options_.on_logged && !unlogged_.empty()) options_.on_logged(unlogged_);
   unlogged_.clear();
+  if (job_log_) job_log_->Flush();
   CompactWhenLong();
   for (const auto& [peer, envelope] : unsent_) {
     if (send_(peer, envelope) || !envelope.has_dispatch()) continue;
@@ -173,7 +175,10 @@ void Shell::ReceiveWhileFull(TimeMs now_ms, const std::string& peer, const v1::E
     return;
   }
   if (envelope.has_shutdown()) shutdown_requested_ = true;
-  if (envelope.has_hello() || envelope.has_heartbeat() || envelope.has_progress() || envelope.has_done() || envelope.has_goodbye()) return;
+  if (envelope.has_hello() || envelope.has_heartbeat() || envelope.has_progress() || envelope.has_done() || envelope.has_goodbye() ||
+      envelope.has_task_log()) {
+    return;
+  }
   const std::string text = "the disk that holds " + events_->path().string() +
                            " is full: the coordinator answers again when there is room; nothing that was accepted is lost";
   send_(peer, ErrorEnvelope(Exhausted(text)));
@@ -188,6 +193,7 @@ void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& 
     case v1::Envelope::kDone:
     case v1::Envelope::kGoodbye:
     case v1::Envelope::kHeartbeat:
+    case v1::Envelope::kTaskLog:
       return OnWorkerMessage(now_ms, peer, envelope);
     case v1::Envelope::kSubmitJob:
       return OnSubmitJob(now_ms, peer, envelope.submit_job());
@@ -204,6 +210,10 @@ void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& 
       return OnDrainWorker(now_ms, peer, envelope.drain_worker());
     case v1::Envelope::kListWorkers:
       return OnListWorkers(now_ms, peer);
+    case v1::Envelope::kGetLog:
+      return OnGetLog(peer, envelope.get_log());
+    case v1::Envelope::kBackup:
+      return OnBackup(peer, envelope.backup());
     case v1::Envelope::kShutdown: {
       spdlog::info("a client asked for the end");
       shutdown_requested_ = true;
@@ -275,7 +285,10 @@ void Shell::OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::En
   workers_.at(worker_id).last_heard_ms = now_ms;
   if (envelope.has_progress()) {
     Feed(now_ms, ProgressEvent{worker_id, FromProto(envelope.progress().attempt()), envelope.progress().fraction()});
+  } else if (envelope.has_task_log()) {
+    OnTaskLog(worker_id, envelope.task_log());
   } else if (envelope.has_done()) {
+    NoteDone(worker_id, envelope.done());
     Feed(now_ms, MakeDoneEvent(worker_id, envelope.done()));
   } else if (envelope.has_goodbye()) {
     LogWith(spdlog::level::info, "worker left: " + envelope.goodbye().reason(), {{"worker", worker_id}});

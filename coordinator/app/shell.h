@@ -12,6 +12,7 @@
 
 #include "coordinator/scheduling/scheduler.h"
 #include "coordinator/store/event_store.h"
+#include "coordinator/store/job_log.h"
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/status.h"
 #include "proto/trem/v1/fleet.pb.h"
@@ -32,6 +33,13 @@ struct ShellOptions {
   std::string store_elsewhere;
   // Told of events as soon as they are durable; for metrics. May be empty.
   std::function<void(std::span<const v1::LogEvent>)> on_logged;
+  // Where the logs of jobs are kept; empty: nowhere.
+  std::filesystem::path job_log_folder;
+  JobLogOptions job_log;
+  // Where backups of the log are written; empty: nowhere.
+  std::filesystem::path backup_folder;
+  // Milliseconds since 1970, for the logs of jobs.
+  std::function<std::uint64_t()> wall_clock_ms;
   // Jobs that one user may have running at once; more are refused. 0: no limit.
   std::uint32_t user_jobs_max = 0;
 };
@@ -62,6 +70,8 @@ class Shell {
   const Scheduler& scheduler() const { return scheduler_; }
   // A client asked for the end.
   bool shutdown_requested() const { return shutdown_requested_; }
+  // Goes on with what is done a little at a time (a backup, a new snapshot). True while something is left: call it again soon.
+  bool Maintain();
   // The disk that holds the log is full.
   bool is_full() const { return is_full_; }
 
@@ -94,6 +104,16 @@ class Shell {
   void ReplyJobList(const std::string& peer);
   void ForgetWorker(const std::string& worker_id);
 
+  // What operators ask for (shell_operations.cc).
+  void OnTaskLog(const std::string& worker_id, const v1::TaskLog& log);
+  void NoteDone(const std::string& worker_id, const v1::Done& done);
+  void OnGetLog(const std::string& peer, const v1::GetLog& get);
+  void OnBackup(const std::string& peer, const v1::Backup& backup);
+  // A line in the log of a job, or of every job that shares a task.
+  void NoteJob(const std::string& job_id, v1::LogLine line);
+  void NoteTask(const std::string& task_key, std::uint32_t attempt, const std::string& worker_id, const std::string& text,
+                bool is_warning = false);
+
   std::unique_ptr<EventStore> events_;
   ArtefactStore artefacts_;
   ShellOptions options_;
@@ -104,6 +124,7 @@ class Shell {
   std::vector<v1::LogEvent> unlogged_;
   std::vector<std::pair<std::string, v1::Envelope>> unsent_;
   TimeMs next_heartbeat_ms_ = 0;
+  std::unique_ptr<JobLog> job_log_;  // May be null.
   bool shutdown_requested_ = false;
   bool is_full_ = false;
 };

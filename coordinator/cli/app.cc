@@ -16,6 +16,7 @@
 #include "coordinator/cli/client_commands.h"
 #include "coordinator/cli/doctor_command.h"
 #include "coordinator/cli/keys_command.h"
+#include "coordinator/cli/operator_commands.h"
 #include "coordinator/cli/plan_command.h"
 #include "coordinator/cli/run_command.h"
 #include "coordinator/cli/terminal.h"
@@ -46,6 +47,9 @@ struct Request {
   std::vector<std::string> overrides;
   std::vector<std::string> mosaic;  // Overrides that mosaic options stand for.
   std::string job_id;
+  int priority = 0;
+  LogsOptions logs;
+  TopOptions top;
   std::string output;
   std::string role;
   std::string store;
@@ -176,12 +180,15 @@ void AddSubmitAndFetch(CLI::App* app, Request* request) {
   submit->add_option("--job-id", request->job_id, "Name of the job, a-z 0-9 -; the same id again is the same job; default: made up");
   submit->add_flag("--upload", request->upload,
                    "Bring the sortie's files to the coordinator, for workers that cannot read them where they are");
+  submit->add_option("--priority", request->priority, "-10 to 10: tasks of jobs of a higher one go first")
+      ->check(CLI::Range(-10, 10))
+      ->capture_default_str();
   submit->footer(
       "Prints the job's id.\n\nExamples:\n  trem submit flight.ts --coordinator tcp://127.0.0.1:7411\n"
       "  JOB=$(trem submit frames/) && trem watch $JOB && trem fetch $JOB -o mosaic.tif");
   submit->callback([request] {
     request->action = [request] {
-      return RunSubmitCommand(request->remote, request->sortie, OverridesOf(*request), request->job_id, request->upload);
+      return RunSubmitCommand(request->remote, request->sortie, OverridesOf(*request), request->job_id, request->upload, request->priority);
     };
   });
   CLI::App* fetch = AddRemoteCommand(app, request, "fetch", "Copy the results of a job that is done");
@@ -216,6 +223,34 @@ void AddKeysCommand(CLI::App* app, Request* request) {
   command->callback([request] { request->action = [request] { return RunKeysCommand(request->job_id, request->role, request->output); }; });
 }
 
+void AddOperatorCommands(CLI::App* app, Request* request) {
+  CLI::App* logs =
+      AddRemoteCommand(app, request, "logs", "What happened to a job: hand-outs, results, failures, what tasks wrote to stderr");
+  logs->add_option("JOB", request->logs.job_id, "Id of the job")->required();
+  logs->add_option("--task", request->logs.task, "Only of this task: its title, such as 'enhance window 7', or how its key begins");
+  logs->add_option("--attempt", request->logs.attempt, "Only of this attempt")->type_name("N");
+  logs->add_option("--worker", request->logs.worker_id, "Only of this worker");
+  logs->add_flag("--newest", request->logs.newest, "Only the newest lines, as many as one answer holds");
+  logs->add_flag("-f,--follow", request->logs.follow, "Go on until the job ends");
+  logs->footer(
+      "Logs are bounded: of long jobs the newest lines are left.\n\nExamples:\n  trem logs flight-1a2b3c4d -f\n"
+      "  trem logs flight-1a2b3c4d --task 'enhance window 7' --attempt 2");
+  logs->callback([request] { request->action = [request] { return RunLogsCommand(request->remote, request->logs); }; });
+  CLI::App* top = AddRemoteCommand(app, request, "top", "Jobs and workers of a coordinator, refreshed until interrupted");
+  top->add_option("--interval-s", request->top.interval_s, "Seconds between two looks")
+      ->check(CLI::Range(0.2, 3600.0))
+      ->capture_default_str();
+  top->add_flag("--once", request->top.once, "One look, as when the output is no terminal");
+  top->footer("Examples:\n  trem top\n  trem top --once --json");
+  top->callback([request] { request->action = [request] { return RunTopCommand(request->remote, request->top); }; });
+  CLI::App* backup = AddRemoteCommand(app, request, "backup", "Copy the coordinator's log into its backup folder while it goes on");
+  backup->add_option("NAME", request->job_id, "Name of the copy, a-z 0-9 -; the same name again is the same copy; default: date and time");
+  backup->footer(
+      "Needs an admin's key where keys are in use. 'trem-coordinator restore' puts a backup back.\n\n"
+      "Examples:\n  trem backup nightly-2026-11-23");
+  backup->callback([request] { request->action = [request] { return RunBackupCommand(request->remote, request->job_id); }; });
+}
+
 void AddJobCommands(CLI::App* app, Request* request) {
   struct JobCommand {
     const char* name;
@@ -238,6 +273,7 @@ void AddJobCommands(CLI::App* app, Request* request) {
   drain->add_option("WORKER", request->job_id, "Id of the worker, as 'trem workers' shows it")->required();
   drain->footer("Needs an admin's key where keys are in use.\n\nExamples:\n  trem drain node-7-4711-0a1b2c3d");
   drain->callback([request] { request->action = [request] { return RunDrainCommand(request->remote, request->job_id); }; });
+  AddOperatorCommands(app, request);
   CLI::App* list = AddRemoteCommand(app, request, "list", "All jobs of a coordinator");
   list->footer("Examples:\n  trem list --coordinator tcp://127.0.0.1:7411");
   list->callback([request] { request->action = [request] { return RunListCommand(request->remote); }; });

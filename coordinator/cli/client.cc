@@ -65,8 +65,9 @@ Result<v1::JobStatus> Client::AskForJob(const v1::Envelope& question) {
   return answer.job_status();
 }
 
-Result<v1::JobStatus> Client::Submit(const std::string& job_id, const v1::Sortie& sortie) {
+Result<v1::JobStatus> Client::Submit(const std::string& job_id, const v1::Sortie& sortie, int priority) {
   v1::Envelope question;
+  question.mutable_submit_job()->set_priority(priority);
   question.mutable_submit_job()->set_job_id(job_id);
   *question.mutable_submit_job()->mutable_sortie() = sortie;
   return AskForJob(question);

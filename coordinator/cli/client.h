@@ -31,7 +31,7 @@ class Client {
   // The answer; an ErrorReply becomes its Status; kUnavailable names the endpoint.
   Result<v1::Envelope> Ask(const v1::Envelope& question);
 
-  Result<v1::JobStatus> Submit(const std::string& job_id, const v1::Sortie& sortie);
+  Result<v1::JobStatus> Submit(const std::string& job_id, const v1::Sortie& sortie, int priority = 0);
   // kNotFound when the coordinator does not know the job.
   Result<v1::JobStatus> GetJob(const std::string& job_id);
   // Sends Shutdown without waiting for the answer.

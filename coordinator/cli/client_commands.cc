@@ -14,6 +14,7 @@
 #include "coordinator/cli/job_report.h"
 #include "coordinator/cli/outputs.h"
 #include "coordinator/cli/progress.h"
+#include "coordinator/cli/remote.h"
 #include "coordinator/cli/terminal.h"
 #include "coordinator/cli/upload.h"
 #include "proto/channel/artefact_channel.h"
@@ -26,31 +27,9 @@ namespace {
 
 using nlohmann::ordered_json;
 
-constexpr std::chrono::seconds kPatience{5};
 constexpr std::chrono::milliseconds kPollInterval{500};
 constexpr std::size_t kWarningLinesMax = 10;
 constexpr std::size_t kJobIdNameMax = 40;
-
-// Prints what went wrong and returns its exit code.
-int Report(const Status& status) {
-  if (InterruptSignal() != 0) return kExitSignalBase + InterruptSignal();
-  if (status.code() == StatusCode::kUnavailable) {
-    PrintError(status.message() + "; is trem-coordinator running there? --coordinator or TREM_COORDINATOR name its endpoint");
-  } else {
-    PrintError(status.message());
-  }
-  return ExitCodeOf(status.code());
-}
-
-Client MakeClient(const RemoteOptions& remote) {
-  CountInterrupts();
-  return Client(remote.coordinator, kPatience, {}, {remote.key, remote.coordinator_key});
-}
-
-Status CheckJobId(const std::string& job_id) {
-  if (IsJobId(job_id)) return {};
-  return InvalidInput("'" + job_id + "' is not a job id; expected 1 to 64 of a-z, 0-9 and '-'; 'trem list' shows the jobs");
-}
 
 // "<name in lower case>-<8 random hexadecimal digits>".
 std::string NewJobId(const std::string& name) {
@@ -107,10 +86,10 @@ Result<v1::JobStatus> Watch(Client* client, const RemoteOptions& remote, const s
 
 // A question that is answered with a job's status, which is shown.
 int AskAboutJob(const RemoteOptions& remote, const std::string& job_id, const v1::Envelope& question) {
-  if (const Status status = CheckJobId(job_id); !status.ok()) return Report(status);
+  if (const Status status = CheckJobId(job_id); !status.ok()) return ReportFailure(status);
   Client client = MakeClient(remote);
   const Result<v1::Envelope> answer = client.Ask(question);
-  if (!answer.ok()) return Report(answer.status());
+  if (!answer.ok()) return ReportFailure(answer.status());
   ShowJob(remote, answer->job_status());
   return kExitDone;
 }
@@ -119,7 +98,7 @@ int AskAboutJob(const RemoteOptions& remote, const std::string& job_id, const v1
 int AskForWorkers(const RemoteOptions& remote, const v1::Envelope& question) {
   Client client = MakeClient(remote);
   const Result<v1::Envelope> answer = client.Ask(question);
-  if (!answer.ok()) return Report(answer.status());
+  if (!answer.ok()) return ReportFailure(answer.status());
   ordered_json json = ordered_json::array();
   for (const v1::WorkerStatus& worker : answer->worker_list().workers()) {
     json.push_back({{"worker_id", worker.worker_id()},
@@ -201,15 +180,15 @@ Result<std::vector<PublishedFile>> FetchOutputs(const RemoteOptions& remote, con
 }  // namespace
 
 int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
-                     const std::string& job_id, bool upload) {
+                     const std::string& job_id, bool upload, int priority) {
   Result<v1::Sortie> spec = LoadSortie(sortie, overrides);
   if (spec.ok() && upload) spec = Upload(remote, *spec);
-  if (!spec.ok()) return Report(spec.status());
+  if (!spec.ok()) return ReportFailure(spec.status());
   const std::string id = job_id.empty() ? NewJobId(spec->name()) : job_id;
-  if (const Status status = CheckJobId(id); !status.ok()) return Report(status);
+  if (const Status status = CheckJobId(id); !status.ok()) return ReportFailure(status);
   Client client = MakeClient(remote);
-  const Result<v1::JobStatus> job = client.Submit(id, *spec);
-  if (!job.ok()) return Report(job.status());
+  const Result<v1::JobStatus> job = client.Submit(id, *spec, priority);
+  if (!job.ok()) return ReportFailure(job.status());
   if (remote.json) {
     fmt::print("{}\n", DumpJson(JobJson(*job)));
   } else {
@@ -223,7 +202,7 @@ int RunListCommand(const RemoteOptions& remote) {
   v1::Envelope question;
   question.mutable_list_jobs();
   const Result<v1::Envelope> answer = client.Ask(question);
-  if (!answer.ok()) return Report(answer.status());
+  if (!answer.ok()) return ReportFailure(answer.status());
   if (remote.json) {
     ordered_json json = ordered_json::array();
     for (const v1::JobStatus& job : answer->job_list().jobs()) json.push_back(JobJson(job));
@@ -239,7 +218,7 @@ int RunListCommand(const RemoteOptions& remote) {
 int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id) {
   Client client = MakeClient(remote);
   const Result<v1::JobStatus> job = GetJob(&client, job_id);
-  if (!job.ok()) return Report(job.status());
+  if (!job.ok()) return ReportFailure(job.status());
   ShowJob(remote, *job);
   return kExitDone;
 }
@@ -247,7 +226,7 @@ int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id) {
 int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id) {
   Client client = MakeClient(remote);
   const Result<v1::JobStatus> job = Watch(&client, remote, job_id);
-  if (!job.ok()) return Report(job.status());
+  if (!job.ok()) return ReportFailure(job.status());
   ShowJob(remote, *job);
   if (job->state() == v1::JOB_DONE) return kExitDone;
   if (job->state() == v1::JOB_DONE_IN_PART) return kExitDoneInPart;
@@ -268,23 +247,23 @@ int RunRetryCommand(const RemoteOptions& remote, const std::string& job_id) {
 }
 
 int RunDrainCommand(const RemoteOptions& remote, const std::string& worker_id) {
-  if (!IsWorkerId(worker_id)) return Report(InvalidInput("'" + worker_id + "' is not a worker's id; 'trem workers' shows them"));
+  if (!IsWorkerId(worker_id)) return ReportFailure(InvalidInput("'" + worker_id + "' is not a worker's id; 'trem workers' shows them"));
   v1::Envelope question;
   question.mutable_drain_worker()->set_worker_id(worker_id);
   return AskForWorkers(remote, question);
 }
 
 int RunFetchCommand(const RemoteOptions& remote, const std::string& job_id, const fs::path& output, const fs::path& store) {
-  if (const Status status = CheckOutput(output); !status.ok()) return Report(status);
+  if (const Status status = CheckOutput(output); !status.ok()) return ReportFailure(status);
   Client client = MakeClient(remote);
   const Result<v1::JobStatus> job = GetJob(&client, job_id);
-  if (!job.ok()) return Report(job.status());
+  if (!job.ok()) return ReportFailure(job.status());
   if (job->state() != v1::JOB_DONE && job->state() != v1::JOB_DONE_IN_PART) {
-    return Report(
+    return ReportFailure(
         Failed("job " + job_id + " is " + JobStateName(job->state()) + "; only the results of a job that is done can be fetched"));
   }
   const Result<std::vector<PublishedFile>> files = FetchOutputs(remote, *job, output, store);
-  if (!files.ok()) return Report(files.status());
+  if (!files.ok()) return ReportFailure(files.status());
   ordered_json json = ordered_json::array();
   for (const PublishedFile& file : *files) {
     if (!remote.json && !remote.quiet) fmt::print("{:>10}  {}\n", FormatBytes(static_cast<double>(file.bytes)), file.path.string());

@@ -16,9 +16,9 @@ struct RemoteOptions {
 };
 
 // Each returns the exit code of `trem`. `upload`: bring the sortie's files to the coordinator's store first, for workers that cannot read
-// them where they are.
+// them where they are. `priority`: -10..10.
 int RunSubmitCommand(const RemoteOptions& remote, const std::string& sortie, const std::vector<std::string>& overrides,
-                     const std::string& job_id, bool upload);
+                     const std::string& job_id, bool upload, int priority);
 int RunListCommand(const RemoteOptions& remote);
 int RunStatusCommand(const RemoteOptions& remote, const std::string& job_id);
 int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id);

@@ -37,14 +37,15 @@ ordered_json JobJson(const v1::JobStatus& job) {
   json["state"] = JobStateName(job.state());
   json["fraction"] = job.fraction();
   json["eta_s"] = job.eta_s() < 0 ? ordered_json() : ordered_json(job.eta_s());
+  json["eta_low_s"] = job.eta_low_s() < 0 ? ordered_json() : ordered_json(job.eta_low_s());
+  json["eta_high_s"] = job.eta_high_s() < 0 ? ordered_json() : ordered_json(job.eta_high_s());
   json["stages"] = ordered_json::array();
   for (const v1::StageStatus& stage : job.stages()) {
-    json["stages"].push_back(
-        {{"kind", TaskKindName(stage.kind())},
-         {"total", stage.total()},
-         {"done", stage.done()},
-         {"running", stage.running()},
-         {"elapsed_ms", stage.elapsed_ms()}});
+    json["stages"].push_back({{"kind", TaskKindName(stage.kind())},
+                              {"total", stage.total()},
+                              {"done", stage.done()},
+                              {"running", stage.running()},
+                              {"elapsed_ms", stage.elapsed_ms()}});
   }
   json["outputs"] = ordered_json::array();
   for (const v1::ArtefactRef& output : job.outputs()) {

@@ -12,8 +12,8 @@ namespace trem {
 std::string TaskKindName(v1::TaskKind kind);
 std::string JobStateName(v1::JobState state);
 
-// A job for programs: job_id, name, state, fraction, eta_s (null: unknown), stages, outputs, notes, peak_memory_bytes, worker_count,
-// retries, and error {code, message} when it failed.
+// A job for programs: job_id, name, state, fraction, eta_s, eta_low_s and eta_high_s (null: unknown), stages, outputs, notes,
+// peak_memory_bytes, worker_count, retries, and error {code, message} when it failed.
 nlohmann::ordered_json JobJson(const v1::JobStatus& job);
 
 // The job's warnings for people, one a line, at most `count_max`, then how many more there are.

@@ -22,7 +22,7 @@ int Percent(const v1::JobStatus& job) { return static_cast<int>(std::floor(Fract
 std::string Details(const v1::JobStatus& job) {
   std::string text = StageText(job);
   text += fmt::format(", {} worker{}", job.worker_count(), job.worker_count() == 1 ? "" : "s");
-  if (job.state() == v1::JOB_RUNNING && job.eta_s() > 0) text += ", about " + FormatDuration(job.eta_s()) + " left";
+  if (const std::string left = TimeLeftText(job); !left.empty()) text += ", about " + left;
   return text;
 }
 
@@ -38,6 +38,13 @@ std::string StageText(const v1::JobStatus& job) {
   }
   if (current == nullptr) return "waiting";
   return fmt::format("{} {}/{}", TaskKindName(current->kind()), current->done(), current->total());
+}
+
+std::string TimeLeftText(const v1::JobStatus& job) {
+  if (job.state() != v1::JOB_RUNNING || job.eta_s() <= 0) return "";
+  const std::string text = FormatDuration(job.eta_s()) + " left";
+  if (job.eta_high_s() <= job.eta_low_s()) return text;
+  return text + " (" + FormatDuration(job.eta_low_s()) + " to " + FormatDuration(job.eta_high_s()) + ")";
 }
 
 std::string ProgressLine(const v1::JobStatus& job) { return fmt::format("{:3}% {}", Percent(job), Details(job)); }

@@ -10,7 +10,9 @@ namespace trem {
 
 // "enhance 12/40": the stage that a job is in, and its tasks.
 std::string StageText(const v1::JobStatus& job);
-// "43% enhance 12/40, 2 workers, about 1:20 left".
+// "1:20 left (1:05 to 1:50)": the interval holds the truth with a probability of about 80 %. Empty when it is not known.
+std::string TimeLeftText(const v1::JobStatus& job);
+// "43% enhance 12/40, 2 workers, about 1:20 left (1:05 to 1:50)".
 std::string ProgressLine(const v1::JobStatus& job);
 // "[#####.......]  43% enhance 12/40, ..." in at most `columns` characters.
 std::string ProgressBar(const v1::JobStatus& job, int columns);

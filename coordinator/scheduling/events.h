@@ -109,9 +109,10 @@ struct DrainWorkerEffect {
 struct JobChangedEffect {
   std::string job_id;
 };
-// For the log of the program.
+// For the log of the program, and of the jobs that share the task.
 struct LogEffect {
   std::string text;
+  std::string task_key;
 };
 
 using Effect = std::variant<AppendEffect, DispatchEffect, AckEffect, CancelTaskEffect, DrainWorkerEffect, JobChangedEffect, LogEffect>;

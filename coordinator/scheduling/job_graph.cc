@@ -27,6 +27,8 @@ std::tuple<std::string, std::string, std::string, int> OrderOf(const v1::Note& n
   return {note.code(), note.subject(), note.message(), static_cast<int>(note.severity())};
 }
 
+double Squared(std::uint64_t ms) { return static_cast<double>(ms) * static_cast<double>(ms); }
+
 }  // namespace
 
 JobGraph::JobGraph(std::string job_id, v1::Sortie sortie) {
@@ -59,6 +61,7 @@ Result<std::vector<PlannedTask>> JobGraph::Finish(const TaskPlace& place, const 
   current.pending[place.index] = false;
   ++current.done;
   current.elapsed_ms += finished.elapsed_ms;
+  current.elapsed_ms2 += Squared(finished.elapsed_ms);
   peak_memory_bytes_ = std::max(peak_memory_bytes_, finished.peak_memory_bytes);
   for (const v1::Note& note : finished.result.notes()) {
     AddNote(note);
@@ -111,6 +114,7 @@ void JobGraph::Reopen(const TaskPlace& place, const FinishedTask& finished) {
   current.pending[place.index] = true;
   --current.done;
   current.elapsed_ms -= finished.elapsed_ms;
+  current.elapsed_ms2 -= Squared(finished.elapsed_ms);
   if (place.kind == v1::ENHANCE) inputs_.window_pb_bytes -= finished.result.outputs(0).bytes();
 }
 
@@ -190,7 +194,10 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
     if (stages_[i].total > 0) fraction += kShares[i] * (stages_[i].done + stages_[i].holes + running_fraction[i]) / stages_[i].total;
   }
   status->set_fraction(done() ? 1.0 : std::min(fraction, 1.0));
-  status->set_eta_s(done() ? 0.0 : EstimateRemainingSeconds(running_fraction, worker_count));
+  const RemainingTime remaining = done() ? RemainingTime{0.0, 0.0, 0.0} : EstimateRemaining(running_fraction, worker_count);
+  status->set_eta_s(remaining.s);
+  status->set_eta_low_s(remaining.low_s);
+  status->set_eta_high_s(remaining.high_s);
   for (const v1::ArtefactRef& output : outputs_) *status->add_outputs() = output;
   for (const auto& [key, note] : notes_) {
     if (static_cast<std::size_t>(status->notes_size()) == kStatusNotesMax) {
@@ -210,24 +217,20 @@ void JobGraph::FillStatus(const std::vector<std::pair<TaskPlace, double>>& runni
   status->set_retries(retries_);
 }
 
-double JobGraph::EstimateRemainingSeconds(const std::array<double, kStageCount>& running_fraction, std::uint32_t worker_count) const {
-  const Stage& enhance = stage(v1::ENHANCE);
-  if (enhance.done == 0 || worker_count == 0) return -1.0;
-  const double enhance_ms = static_cast<double>(enhance.elapsed_ms) / enhance.done * enhance.total;
-  double remaining_ms = 0.0;
+RemainingTime JobGraph::EstimateRemaining(const std::array<double, kStageCount>& running_fraction, std::uint32_t worker_count) const {
+  std::array<StageLoad, kStageCount> loads;
   for (std::size_t i = 0; i < kStageCount; ++i) {
     const Stage& s = stages_[i];
-    const double share_ms = enhance_ms * kShares[i] / kShares[static_cast<std::size_t>(v1::ENHANCE) - 1];
-    if (s.total == 0) {  // Not unfolded yet: assume that it spreads over all workers.
-      remaining_ms += share_ms / worker_count;
-      continue;
-    }
-    const double left = std::max(0.0, s.total - s.done - s.holes - running_fraction[i]);
-    const double mean_ms = s.done > 0 ? static_cast<double>(s.elapsed_ms) / s.done : share_ms / s.total;
-    const double side_by_side = std::max(1.0, std::min<double>(worker_count, s.total - s.done - s.holes));
-    remaining_ms += left * mean_ms / side_by_side;
+    loads[i] = {kShares[i],
+                i + 1 == static_cast<std::size_t>(v1::ENHANCE),
+                s.total,
+                s.done,
+                s.holes,
+                running_fraction[i],
+                static_cast<double>(s.elapsed_ms),
+                s.elapsed_ms2};
   }
-  return remaining_ms / 1000.0;
+  return EstimateRemainingTime(loads, worker_count);
 }
 
 }  // namespace trem

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "coordinator/planning/task_plan.h"
+#include "coordinator/scheduling/remaining_time.h"
 #include "mosaic/base/status.h"
 #include "proto/trem/v1/fleet.pb.h"
 
@@ -79,9 +80,8 @@ class JobGraph {
 
   // Fills in stages, outputs, notes, fraction, eta_s, peak memory and retries. `running`: fractions of the running tasks.
   //
-  // fraction = sum over stages of share * (done + running fractions) / total, with fixed shares of the whole work. eta_s: what remains of
-  // each stage times its mean duration (of a stage that has not run: the share's worth of Enhance's), divided by the workers that can
-  // share it; < 0 until an Enhance task is done.
+  // fraction = sum over stages of share * (done + running fractions) / total, with fixed shares of the whole work. eta_s and its interval:
+  // EstimateRemainingTime; < 0 until an Enhance task is done.
   void FillStatus(const std::vector<std::pair<TaskPlace, double>>& running, std::uint32_t worker_count, v1::JobStatus* status) const;
 
  private:
@@ -89,7 +89,8 @@ class JobGraph {
     std::uint32_t total = 0;
     std::uint32_t done = 0;
     std::uint32_t holes = 0;
-    std::uint64_t elapsed_ms = 0;  // Sum over the done ones.
+    std::uint64_t elapsed_ms = 0;  // Sum over the done ones,
+    double elapsed_ms2 = 0.0;      // and of the squares.
     bool is_unfolded = false;      // What follows it is known.
     std::vector<bool> pending;     // By index.
   };
@@ -101,7 +102,7 @@ class JobGraph {
   Result<std::vector<PlannedTask>> UnfoldWhenComplete(v1::TaskKind kind);
   Result<std::vector<PlannedTask>> Unfold(v1::TaskKind finished_kind);
   void SetOutput(const TaskPlace& place, const v1::TaskResult& result);
-  double EstimateRemainingSeconds(const std::array<double, kStageCount>& running_fraction, std::uint32_t worker_count) const;
+  RemainingTime EstimateRemaining(const std::array<double, kStageCount>& running_fraction, std::uint32_t worker_count) const;
 
   JobInputs inputs_;
   std::array<Stage, kStageCount> stages_;

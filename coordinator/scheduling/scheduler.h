@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -52,6 +53,10 @@ class Scheduler {
   Status Restore(const v1::LogEvent& event);
   // The shortest log that Restore rebuilds the present state from: no attempt but the newest, no failed try, no repeated submission.
   std::vector<v1::LogEvent> Snapshot() const;
+  // The same, one event a call, until nullopt: for those who have no time for all of them at once. Of the state as it is now, whatever
+  // happens later; must not outlive the scheduler. Cost: O(jobs + tasks) with a small constant (about 40 bytes copied a task), then O(1) a
+  // call.
+  std::function<std::optional<v1::LogEvent>()> BeginSnapshot() const;
 
   // The only mutator from then on. `now_ms` never goes backwards (checked).
   std::vector<Effect> Step(TimeMs now_ms, const Event& event);
@@ -60,6 +65,12 @@ class Scheduler {
   std::optional<v1::JobStatus> JobStatus(const std::string& job_id) const;
   // All jobs, in the order they were submitted.
   std::vector<v1::JobStatus> JobStatuses() const;
+  // The jobs that share a task, and what it is called in each: "enhance 7". Empty: nobody wants or uses it.
+  struct TaskUse {
+    std::string job_id;
+    std::string title;
+  };
+  std::vector<TaskUse> UsesOf(const std::string& task_key) const;
   // By worker id; last_seen_ms_ago is the shell's to fill in.
   std::vector<v1::WorkerStatus> WorkerStatuses() const;
   // The sortie a job was submitted with; null: no such job.
@@ -93,7 +104,7 @@ class Scheduler {
   };
   struct Finished {
     v1::TaskKind kind = v1::TASK_KIND_UNSPECIFIED;
-    FinishedTask task;
+    std::shared_ptr<const FinishedTask> task;  // Shared with snapshots that are being written.
     std::vector<JobPlace> used_by;
   };
   // What went wrong with a task so far. Few tasks have any.
@@ -188,6 +199,8 @@ class Scheduler {
   std::string TitleOf(const Task& task) const;
   v1::JobStatus StatusOf(JobNumber number) const;
   bool WaitsForMemory(const Job& job) const;
+  void SnapshotJobs(std::vector<v1::LogEvent>* log) const;
+  void FillRunning(const std::string& key, std::uint32_t attempt, v1::RunningTask* running) const;
 
   // Attempts: leases, slots, failures (scheduler_attempts.cc).
   void TakeBackAll(const std::string& worker_id, bool counts, const std::string& reason);

@@ -77,7 +77,7 @@ void Scheduler::OnFailure(TaskIndex index, const TaskDoneEvent& event) {
   Trouble& trouble = TroubleOf(index);
   const std::string who = TitleOf(task) + " failed on worker " + event.worker_id;
   if (RepairInputs(index, event.bad_artefacts)) {
-    effects_.push_back(LogEffect{who + " and waits until its inputs are made again: " + event.message});
+    effects_.push_back(LogEffect{who + " and waits until its inputs are made again: " + event.message, task.key});
     if (was_last) Delay(index, Doubled(options_.retry_delay_ms, trouble.waits++, options_.retry_delay_ms_max));
     return;
   }
@@ -93,7 +93,7 @@ void Scheduler::OnFailure(TaskIndex index, const TaskDoneEvent& event) {
     return GiveUp(index, Status(event.code, event.message + " (after " + std::to_string(times) + " attempts)"));
   }
   for (const JobPlace& place : task.wanted_by) jobs_.at(place.job).graph->AddRetry();
-  effects_.push_back(LogEffect{who + " and is tried again: " + event.message});
+  effects_.push_back(LogEffect{who + " and is tried again: " + event.message, task.key});
   const std::uint32_t delay_ms = event.code == StatusCode::kExhausted ? options_.exhausted_delay_ms : options_.retry_delay_ms;
   Delay(index, Doubled(delay_ms, times - 1, std::max(options_.retry_delay_ms_max, delay_ms)));
 }
@@ -108,7 +108,7 @@ void Scheduler::Lose(TaskIndex index, std::uint32_t attempt, bool counts, const 
     return GiveUp(index, Unavailable("was handed out " + std::to_string(losses) + " times and never came back; last: " + reason));
   }
   for (const JobPlace& place : task.wanted_by) jobs_.at(place.job).graph->AddRetry();
-  effects_.push_back(LogEffect{TitleOf(task) + " goes to another worker: " + reason});
+  effects_.push_back(LogEffect{TitleOf(task) + " goes to another worker: " + reason, task.key});
   if (TREM_PLANTED(kForgottenExpiry) && counts) return;
   Enqueue(index);
 }

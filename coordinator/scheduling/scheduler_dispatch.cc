@@ -197,7 +197,8 @@ void Scheduler::HedgeStragglers() {
     }
     if (chosen == nullptr) continue;
     effects_.push_back(LogEffect{TitleOf(task) + " runs for " + std::to_string(now_ms_ - started_ms) +
-                                 " ms, others took a fraction of that: a second attempt begins beside it"});
+                                     " ms, others took a fraction of that: a second attempt begins beside it",
+                                 task.key});
     if (!TREM_PLANTED(kEndlessHedges)) alone_.erase({started_ms, index});
     Dispatch(std::string(*chosen), index, true);
   }

@@ -107,7 +107,7 @@ void Scheduler::Commit(TaskIndex index, v1::TaskKind kind, FinishedTask finished
   LeaveQueues(index, "another attempt was faster");
   task.state = TaskState::kFinished;
   task.was_handed_out = false;
-  task.finished = std::make_unique<Finished>(Finished{kind, std::move(finished), {}});
+  task.finished = std::make_unique<Finished>(Finished{kind, std::make_shared<const FinishedTask>(std::move(finished)), {}});
   task.damaged.reset();
   task.trouble.reset();
   Completions completions;
@@ -128,7 +128,7 @@ void Scheduler::Deliver(Completions completions) {
     if (job.state != v1::JOB_RUNNING) continue;
     Finished& finished = *tasks_[index].finished;
     finished.used_by.push_back(place);
-    Unfold(place.job, job.graph->Finish(place.place, finished.task), &completions);
+    Unfold(place.job, job.graph->Finish(place.place, *finished.task), &completions);
   }
 }
 
@@ -141,7 +141,7 @@ void Scheduler::Unfold(JobNumber number, Result<std::vector<PlannedTask>> planne
 }
 
 void Scheduler::CompareResults(TaskIndex index, std::uint32_t attempt, const Finished& kept, const v1::TaskResult& result) {
-  if (SameOutputs(kept.task.result, result)) return;
+  if (SameOutputs(kept.task->result, result)) return;
   const std::string& key = tasks_[index].key;
   v1::LogEvent log;
   log.mutable_result_differed()->set_task_key(key);
@@ -157,7 +157,7 @@ void Scheduler::CompareResults(TaskIndex index, std::uint32_t attempt, const Fin
     jobs_.at(place.job).graph->AddNote(*note);
     effects_.push_back(JobChangedEffect{jobs_.at(place.job).id});
   }
-  effects_.push_back(LogEffect{"task " + key + ": " + note->message()});
+  effects_.push_back(LogEffect{"task " + key + ": " + note->message(), key});
   differed_.insert_or_assign(key, log);
   Append(std::move(log));
 }
@@ -174,15 +174,15 @@ bool Scheduler::RepairInputs(TaskIndex index, const std::vector<std::string>& ba
       for (const TaskIndex maker : stage) {
         if (maker == kNoTask || maker == index) continue;
         const Task& task = tasks_[maker];
-        if (task.damaged != nullptr && HasOutputAmong(task.damaged->task.result, bad_artefacts)) is_repaired = true;
-        if (task.finished == nullptr || !HasOutputAmong(task.finished->task.result, bad_artefacts)) continue;
+        if (task.damaged != nullptr && HasOutputAmong(task.damaged->task->result, bad_artefacts)) is_repaired = true;
+        if (task.finished == nullptr || !HasOutputAmong(task.finished->task->result, bad_artefacts)) continue;
         if (task.repairs >= options_.repairs_max) continue;
         v1::LogEvent log;
         log.mutable_task_invalidated()->set_task_key(task.key);
         log.mutable_task_invalidated()->set_message("its artefacts are damaged or missing");
         Append(std::move(log));
         Invalidate(maker);
-        effects_.push_back(LogEffect{"task " + task.key + " is done again: its artefacts are damaged or missing"});
+        effects_.push_back(LogEffect{"task " + task.key + " is done again: its artefacts are damaged or missing", task.key});
         is_repaired = true;
       }
     }
@@ -200,7 +200,7 @@ void Scheduler::Invalidate(TaskIndex index) {
     const auto& stage = job.tasks[static_cast<std::size_t>(place.place.kind) - 1];
     const bool is_current = place.place.index < stage.size() && stage[place.place.index] == index;
     if (job.state != v1::JOB_RUNNING || !is_current || job.graph->IsPending(place.place)) continue;
-    job.graph->Reopen(place.place, task.damaged->task);
+    job.graph->Reopen(place.place, *task.damaged->task);
     ++job.memory_wanted[task.memory_bytes];
     const auto behind = std::find_if(task.wanted_by.begin(), task.wanted_by.end(),
                                      [&](const JobPlace& other) { return jobs_.at(other.job).priority < job.priority; });
@@ -275,7 +275,8 @@ void Scheduler::GiveUp(TaskIndex index, const Status& reason) {
     if (jobs_.at(number).state != v1::JOB_RUNNING) continue;
     if (place.kind == v1::ENHANCE || place.kind == v1::COMPOSITE) {
       effects_.push_back(LogEffect{TaskTitle(place.kind, place.index) + " of job " + jobs_.at(number).id +
-                                   " is given up; the job goes on without it: " + reason.message()});
+                                       " is given up; the job goes on without it: " + reason.message(),
+                                   tasks_[index].key});
       v1::LogEvent log;
       log.mutable_task_quarantined()->set_job_id(jobs_.at(number).id);
       log.mutable_task_quarantined()->set_task_key(tasks_[index].key);

@@ -85,51 +85,98 @@ Status Scheduler::Restore(const v1::LogEvent& event) {
   return {};
 }
 
+namespace {
+
+// What a snapshot says of a task. Keys are never changed or removed.
+struct TaskRecord {
+  const std::string* key = nullptr;
+  std::shared_ptr<const FinishedTask> finished;  // Null: known, and not done.
+  std::uint32_t newest_attempt = 0;
+  v1::TaskKind kind = v1::TASK_KIND_UNSPECIFIED;
+
+  v1::LogEvent ToEvent() const {
+    v1::LogEvent event;
+    if (finished == nullptr) {
+      event.mutable_attempt_started()->set_task_key(*key);
+      event.mutable_attempt_started()->set_attempt(newest_attempt);
+      return event;
+    }
+    v1::TaskCommitted* committed = event.mutable_task_committed();
+    committed->set_task_key(*key);
+    committed->set_kind(kind);
+    committed->set_attempt(newest_attempt);
+    *committed->mutable_result() = finished->result;
+    committed->set_elapsed_ms(finished->elapsed_ms);
+    committed->set_peak_memory_bytes(finished->peak_memory_bytes);
+    return event;
+  }
+};
+
+}  // namespace
+
 // Results first: jobs then unfold as far as they are. Holes and ends follow each job, as they must.
-std::vector<v1::LogEvent> Scheduler::Snapshot() const {
-  std::vector<v1::LogEvent> log;
+std::function<std::optional<v1::LogEvent>()> Scheduler::BeginSnapshot() const {
+  struct Cursor {
+    std::vector<TaskRecord> tasks;
+    std::vector<v1::LogEvent> rest;
+    std::size_t next = 0;
+  };
+  const auto cursor = std::make_shared<Cursor>();
+  cursor->tasks.reserve(tasks_.size());
   for (const Task& task : tasks_) {
     if (task.newest_attempt == 0 && task.finished == nullptr) continue;
     if (task.finished == nullptr && TREM_PLANTED(kForgetsNumbersInSnapshot)) continue;
     if (task.finished != nullptr && TREM_PLANTED(kForgetsResultsInSnapshot)) continue;
-    if (task.finished == nullptr) {
-      v1::AttemptStarted* started = log.emplace_back().mutable_attempt_started();
-      started->set_task_key(task.key);
-      started->set_attempt(task.newest_attempt);
-      continue;
-    }
-    v1::TaskCommitted* committed = log.emplace_back().mutable_task_committed();
-    const FinishedTask& finished = task.finished->task;
-    committed->set_task_key(task.key);
-    committed->set_kind(task.finished->kind);
-    committed->set_attempt(task.newest_attempt);
-    *committed->mutable_result() = finished.result;
-    committed->set_elapsed_ms(finished.elapsed_ms);
-    committed->set_peak_memory_bytes(finished.peak_memory_bytes);
+    TaskRecord& record = cursor->tasks.emplace_back();
+    record.key = &task.key;
+    record.newest_attempt = task.newest_attempt;
+    if (task.finished == nullptr) continue;
+    record.finished = task.finished->task;
+    record.kind = task.finished->kind;
   }
+  SnapshotJobs(&cursor->rest);
+  return [cursor]() -> std::optional<v1::LogEvent> {
+    const std::size_t i = cursor->next++;
+    if (i < cursor->tasks.size()) {
+      v1::LogEvent event = cursor->tasks[i].ToEvent();
+      cursor->tasks[i].finished.reset();
+      return event;
+    }
+    if (i < cursor->tasks.size() + cursor->rest.size()) return std::move(cursor->rest[i - cursor->tasks.size()]);
+    return std::nullopt;
+  };
+}
+
+std::vector<v1::LogEvent> Scheduler::Snapshot() const {
+  std::vector<v1::LogEvent> log;
+  const auto next = BeginSnapshot();
+  while (auto event = next()) log.push_back(*std::move(event));
+  return log;
+}
+
+void Scheduler::SnapshotJobs(std::vector<v1::LogEvent>* log) const {
   for (const auto& [number, job] : jobs_) {
-    v1::JobSubmitted* submitted = log.emplace_back().mutable_job_submitted();
+    v1::JobSubmitted* submitted = log->emplace_back().mutable_job_submitted();
     submitted->set_job_id(job.id);
     *submitted->mutable_sortie() = job.graph->sortie();
     submitted->set_user(job.user);
     submitted->set_priority(job.priority);
     for (const auto& [place, reason] : job.graph->holes()) {
-      v1::TaskQuarantined* quarantined = log.emplace_back().mutable_task_quarantined();
+      v1::TaskQuarantined* quarantined = log->emplace_back().mutable_task_quarantined();
       quarantined->set_job_id(job.id);
       quarantined->set_task_key(tasks_[job.tasks[static_cast<std::size_t>(place.kind) - 1][place.index]].key);
       quarantined->set_status_code(static_cast<std::uint32_t>(reason.code()));
       quarantined->set_message(reason.message());
     }
-    if (job.state == v1::JOB_CANCELLED) log.emplace_back().mutable_job_cancelled()->set_job_id(job.id);
+    if (job.state == v1::JOB_CANCELLED) log->emplace_back().mutable_job_cancelled()->set_job_id(job.id);
     if (job.state == v1::JOB_FAILED) {
-      v1::JobFailed* failed = log.emplace_back().mutable_job_failed();
+      v1::JobFailed* failed = log->emplace_back().mutable_job_failed();
       failed->set_job_id(job.id);
       failed->set_status_code(static_cast<std::uint32_t>(job.error.code()));
       failed->set_message(job.error.message());
     }
   }
-  for (const auto& [key, event] : differed_) log.push_back(event);
-  return log;
+  for (const auto& [key, event] : differed_) log->push_back(event);
 }
 
 }  // namespace trem

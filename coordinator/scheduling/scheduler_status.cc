@@ -39,7 +39,11 @@ v1::JobStatus Scheduler::StatusOf(JobNumber number) const {
     if (is_held) running.push_back({place, fraction});
   }
   job.graph->FillStatus(running, status.worker_count(), &status);
-  if (job.state == v1::JOB_FAILED || job.state == v1::JOB_CANCELLED) status.set_eta_s(-1.0);
+  if (job.state == v1::JOB_FAILED || job.state == v1::JOB_CANCELLED) {
+    status.set_eta_s(-1.0);
+    status.set_eta_low_s(-1.0);
+    status.set_eta_high_s(-1.0);
+  }
   if (WaitsForMemory(job)) {
     v1::Note* note = status.add_notes();
     note->set_code("waiting_for_memory");
@@ -62,6 +66,35 @@ std::vector<v1::JobStatus> Scheduler::JobStatuses() const {
   return statuses;
 }
 
+void Scheduler::FillRunning(const std::string& key, std::uint32_t attempt, v1::RunningTask* running) const {
+  running->set_task_key(key);
+  running->set_attempt(attempt);
+  const TaskIndex index = FindTask(key);
+  if (index == kNoTask) return;
+  if (const auto& wanted_by = tasks_[index].wanted_by; !wanted_by.empty()) {
+    running->set_job_id(jobs_.at(wanted_by.front().job).id);
+    running->set_title(TaskTitle(wanted_by.front().place.kind, wanted_by.front().place.index));
+  }
+  const auto leases = leases_.find(index);
+  if (leases == leases_.end()) return;
+  for (const Lease& lease : leases->second) {
+    if (lease.attempt != attempt) continue;
+    running->set_fraction(lease.fraction);
+    running->set_running_ms(static_cast<std::uint64_t>(now_ms_ - lease.started_ms));
+  }
+}
+
+std::vector<Scheduler::TaskUse> Scheduler::UsesOf(const std::string& task_key) const {
+  std::vector<TaskUse> uses;
+  const TaskIndex index = FindTask(task_key);
+  if (index == kNoTask) return uses;
+  const Task& task = tasks_[index];
+  for (const JobPlace& place : task.finished != nullptr ? task.finished->used_by : task.wanted_by) {
+    uses.push_back({jobs_.at(place.job).id, TaskTitle(place.place.kind, place.place.index)});
+  }
+  return uses;
+}
+
 std::vector<v1::WorkerStatus> Scheduler::WorkerStatuses() const {
   std::vector<v1::WorkerStatus> statuses;
   for (const auto& [worker_id, worker] : workers_) {
@@ -76,6 +109,7 @@ std::vector<v1::WorkerStatus> Scheduler::WorkerStatuses() const {
       v1::TaskAttempt* attempt = status.add_running();
       attempt->set_task_key(key);
       attempt->set_attempt(slot.attempt);
+      if (slot.live) FillRunning(key, slot.attempt, status.add_tasks());
     }
     statuses.push_back(std::move(status));
   }
@@ -94,7 +128,7 @@ std::uint32_t Scheduler::RunningJobCount(const std::string& user) const {
 
 const v1::TaskResult* Scheduler::FindResult(const std::string& task_key) const {
   const TaskIndex index = FindTask(task_key);
-  return index == kNoTask || tasks_[index].finished == nullptr ? nullptr : &tasks_[index].finished->task.result;
+  return index == kNoTask || tasks_[index].finished == nullptr ? nullptr : &tasks_[index].finished->task->result;
 }
 
 }  // namespace trem

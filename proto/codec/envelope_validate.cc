@@ -16,6 +16,8 @@ constexpr std::size_t kIdLengthMaxWorker = 128;
 constexpr std::size_t kWordBytesMax = 256;    // Host names, revisions, codes.
 constexpr std::size_t kTextBytesMax = 65536;  // Messages, reasons, paths.
 constexpr std::size_t kChunkBytesMax = std::size_t{4} << 20;
+constexpr int kLogLinesMax = 256;  // Of one message of a worker.
+constexpr std::size_t kLogLineBytesMax = 4096;
 constexpr std::uint32_t kCreditMax = 1024;
 constexpr std::uint32_t kDurationMsMax = 86'400'000;  // A day.
 constexpr std::uint32_t kStatusCodeMax = static_cast<std::uint32_t>(StatusCode::kFailed);
@@ -79,6 +81,7 @@ Status Validate(const v1::Note& note) {
 Status Validate(const v1::StageStatus& stage);
 Status Validate(const v1::JobStatus& job);
 Status Validate(const v1::WorkerStatus& worker);
+Status Validate(const v1::LogLine& line);
 
 template <typename Messages>
 Status ValidateAll(const Messages& messages) {
@@ -167,8 +170,34 @@ Status Validate(const v1::Drain& drain) { return CheckText("reason", drain.reaso
 Status Validate(const v1::Goodbye& goodbye) { return CheckText("reason", goodbye.reason(), kTextBytesMax); }
 
 Status CheckChunk(const std::string& data, const std::string& data_sha256) {
-  if (data.size() > kChunkBytesMax) return Bad("data", fmt::format("{} bytes long", data.size()), fmt::format("at most {}", kChunkBytesMax));
+  if (data.size() > kChunkBytesMax)
+    return Bad("data", fmt::format("{} bytes long", data.size()), fmt::format("at most {}", kChunkBytesMax));
   return CheckDigest("data_sha256", data_sha256);
+}
+
+Status Validate(const v1::TaskLog& log) {
+  TREM_RETURN_IF_ERROR(Validate(log.attempt()));
+  if (log.lines_size() > kLogLinesMax)
+    return Bad("lines", fmt::format("{} lines", log.lines_size()), fmt::format("at most {}", kLogLinesMax));
+  for (const std::string& line : log.lines()) TREM_RETURN_IF_ERROR(CheckText("line", line, kLogLineBytesMax));
+  return {};
+}
+
+Status Validate(const v1::GetLog& get) {
+  TREM_RETURN_IF_ERROR(CheckJobId(get.job_id()));
+  TREM_RETURN_IF_ERROR(CheckText("task", get.task(), kWordBytesMax));
+  return get.worker_id().empty() ? Status() : CheckWorkerId(get.worker_id());
+}
+
+Status Validate(const v1::LogLine& line) {
+  TREM_RETURN_IF_ERROR(CheckText("task", line.task(), kWordBytesMax));
+  return CheckText("text", line.text(), kTextBytesMax);
+}
+
+Status Validate(const v1::BackupStatus& backup) {
+  if (!IsJobId(backup.backup_id())) return Bad("backup_id", "malformed", "1 to 64 of a-z, 0-9 and '-'");
+  TREM_RETURN_IF_ERROR(CheckText("path", backup.path(), kTextBytesMax));
+  return CheckRange("fraction", backup.fraction(), 0.0, 1.0);
 }
 
 Status Validate(const v1::GetChunk& get) {
@@ -215,12 +244,19 @@ Status Validate(const v1::JobStatus& job) {
   TREM_RETURN_IF_ERROR(ValidateAll(job.notes()));
   TREM_RETURN_IF_ERROR(ValidateAll(job.holes()));
   TREM_RETURN_IF_ERROR(CheckRange("fraction", job.fraction(), 0.0, 1.0));
+  TREM_RETURN_IF_ERROR(CheckFinite("eta_low_s", job.eta_low_s()));
+  TREM_RETURN_IF_ERROR(CheckFinite("eta_high_s", job.eta_high_s()));
   return CheckFinite("eta_s", job.eta_s());
 }
 
 Status Validate(const v1::WorkerStatus& worker) {
   TREM_RETURN_IF_ERROR(CheckWorkerId(worker.worker_id()));
   TREM_RETURN_IF_ERROR(CheckText("host", worker.host(), kWordBytesMax));
+  for (const v1::RunningTask& task : worker.tasks()) {
+    TREM_RETURN_IF_ERROR(CheckDigest("task_key", task.task_key()));
+    TREM_RETURN_IF_ERROR(CheckText("title", task.title(), kWordBytesMax));
+    TREM_RETURN_IF_ERROR(CheckRange("fraction", task.fraction(), 0.0, 1.0));
+  }
   return ValidateRunning(worker.running());
 }
 
@@ -239,6 +275,16 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return Validate(envelope.done());
     case v1::Envelope::kGoodbye:
       return Validate(envelope.goodbye());
+    case v1::Envelope::kTaskLog:
+      return Validate(envelope.task_log());
+    case v1::Envelope::kGetLog:
+      return Validate(envelope.get_log());
+    case v1::Envelope::kLogPage:
+      return ValidateAll(envelope.log_page().lines());
+    case v1::Envelope::kBackup:
+      return IsJobId(envelope.backup().backup_id()) ? Status() : Bad("backup_id", "malformed", "1 to 64 of a-z, 0-9 and '-'");
+    case v1::Envelope::kBackupStatus:
+      return Validate(envelope.backup_status());
     case v1::Envelope::kWelcome:
       return Validate(envelope.welcome());
     case v1::Envelope::kDispatch:

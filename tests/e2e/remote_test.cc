@@ -70,6 +70,48 @@ TEST_F(RemoteTest, TakesAJobFromSubmitToFetch) {
   EXPECT_EQ(exit->code, 0) << worker.Stderr();
 }
 
+TEST_F(RemoteTest, TellsOperatorsWhatGoesOnAndRestoresABackup) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  ASSERT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1", "--priority", "3"}).exit_code, 0);
+  const auto top = nlohmann::json::parse(Trem({"top", "--json"}).stdout_text);
+  EXPECT_EQ(top["jobs"][0]["job_id"], "town-1");
+  EXPECT_THAT(Trem({"top"}).stdout_text, HasSubstr("1 running, 0 other jobs; 0 workers"));
+  const Completed backup = Trem({"backup", "before", "--json"});
+  ASSERT_EQ(backup.exit_code, 0) << backup.stderr_text;
+  const std::string copy = nlohmann::json::parse(backup.stdout_text)["path"];
+  EXPECT_TRUE(fs::exists(copy));
+  EXPECT_EQ(fs::status(copy).permissions() & fs::perms::all, fs::perms::owner_read | fs::perms::owner_write);
+
+  {
+    Subprocess worker({BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()},
+                      fixture_.Options());
+    const Completed logs = Trem({"logs", "town-1", "--follow"});
+    EXPECT_EQ(logs.exit_code, 0) << logs.stderr_text;
+    EXPECT_THAT(logs.stdout_text, HasSubstr("[INGEST #1] handed out"));
+    EXPECT_THAT(logs.stdout_text, HasSubstr("[EXPORT #1] result after"));
+    EXPECT_THAT(logs.stdout_text, HasSubstr("JOB_DONE"));
+    const Completed one = Trem({"logs", "town-1", "--task", "ingest", "--json"});
+    EXPECT_EQ(nlohmann::json::parse(Lines(one.stdout_text).at(0))["task"], "INGEST");
+    EXPECT_EQ(Trem({"logs", "town-2"}).exit_code, 3);
+  }
+  EXPECT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "later"}).exit_code, 0);
+  coordinator_.Signal(SIGTERM);
+  ASSERT_TRUE(coordinator_.Wait(std::chrono::seconds(30)).has_value());
+  const Completed restored =
+      RunProgram({BinaryPath("trem-coordinator").string(), "restore", copy, "--state", (fixture_.folder() / "state").string()},
+                 std::chrono::minutes(1), fixture_.Options());
+  EXPECT_EQ(restored.exit_code, 0) << restored.stderr_text;
+  EXPECT_THAT(restored.stdout_text, HasSubstr("1 events restored"));
+  Subprocess again({BinaryPath("trem-coordinator").string(), "--state", (fixture_.folder() / "state").string(), "--store", store_.string(),
+                    "--bind", endpoint_},
+                   fixture_.Options());
+  EXPECT_THAT(Trem({"list"}).stdout_text, HasSubstr("town-1"));
+  EXPECT_EQ(Trem({"status", "later"}).exit_code, 3);
+  Subprocess worker({BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()},
+                    fixture_.Options());
+  EXPECT_EQ(Trem({"watch", "town-1", "--quiet"}).exit_code, 0) << "what was computed since the backup is computed again";
+}
+
 TEST_F(RemoteTest, StreamsArtefactsToAWorkerThatSharesNothing) {
   const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
   const fs::path out = fixture_.NewFolder("out");

@@ -62,11 +62,18 @@ Status ComputeProcess::EnsureStarted() {
   // When the numbers are the same, dup2 would leave the descriptor to be closed at exec.
   const int other = pair[1] == kChildFd ? ::fcntl(pair[1], F_DUPFD_CLOEXEC, kChildFd + 1) : pair[1];
   ::posix_spawn_file_actions_adddup2(&actions, other, kChildFd);
+  std::array<int, 2> errors{-1, -1};
+  if (options_.on_stderr && ::pipe2(errors.data(), O_CLOEXEC) == 0) {
+    (void)::fcntl(errors[0], F_SETFL, O_NONBLOCK);
+    ::posix_spawn_file_actions_adddup2(&actions, errors[1], STDERR_FILENO);
+  }
   const int error = ::posix_spawn(&pid_, argv[0].c_str(), &actions, nullptr, pointers.data(), environ);
   ::posix_spawn_file_actions_destroy(&actions);
   if (other != pair[1]) ::close(other);
   ::close(pair[1]);
+  if (errors[1] >= 0) ::close(errors[1]);
   fd_ = pair[0];
+  stderr_fd_ = errors[0];
   reader_ = {};
   if (error == 0) return {};
   pid_ = -1;
@@ -83,7 +90,22 @@ int ComputeProcess::Reap(bool kill) {
     pid_ = -1;
   }
   if (fd_ >= 0) ::close(std::exchange(fd_, -1));
+  RelayStderr();  // Its last words.
+  if (stderr_fd_ >= 0) ::close(std::exchange(stderr_fd_, -1));
   return status;
+}
+
+void ComputeProcess::RelayStderr() {
+  if (stderr_fd_ < 0) return;
+  std::array<char, 4096> buffer;
+  for (int i = 0; i < 64; ++i) {  // A child that never stops writing does not stop this process.
+    const ssize_t count = ::read(stderr_fd_, buffer.data(), buffer.size());
+    if (count == 0) ::close(std::exchange(stderr_fd_, -1));  // Or poll would never wait again.
+    if (count <= 0) return;
+    const std::string_view bytes(buffer.data(), static_cast<std::size_t>(count));
+    (void)!::write(STDERR_FILENO, bytes.data(), bytes.size());
+    options_.on_stderr(bytes);
+  }
 }
 
 TaskOutcome ComputeProcess::Death(const v1::TaskSpec& spec) {
@@ -112,8 +134,9 @@ TaskOutcome ComputeProcess::Await(const v1::TaskSpec& spec, const std::function<
   Clock::time_point last_news = start;
   std::optional<Clock::time_point> kill_at;
   for (;;) {
-    pollfd item{fd_, POLLIN, 0};
-    (void)::poll(&item, 1, static_cast<int>(kPoll.count()));
+    std::array<pollfd, 2> items{pollfd{fd_, POLLIN, 0}, pollfd{stderr_fd_, POLLIN, 0}};  // A negative one is left out.
+    (void)::poll(items.data(), items.size(), static_cast<int>(kPoll.count()));
+    RelayStderr();
     const bool is_there = reader_.ReadAvailable(fd_);
     const Clock::time_point now = Clock::now();
     bool goes_on = progress(-1.0);

@@ -4,7 +4,9 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "mosaic/base/status.h"
@@ -15,6 +17,8 @@ namespace trem {
 struct ComputeProcessOptions {
   // The program and its arguments; the socket's number is appended as "--fd N".
   std::vector<std::string> argv;
+  // Given what the child writes to stderr while it computes, as it comes; it goes to this process' stderr too. Empty: only there.
+  std::function<void(std::string_view bytes)> on_stderr;
   // A task that reports no progress for this long is taken for hung: its process is killed.
   std::chrono::milliseconds silence_max{300'000};
   // A task may take this long at most. 0: no limit.
@@ -42,11 +46,13 @@ class ComputeProcess {
   TaskOutcome Await(const v1::TaskSpec& spec, const std::function<bool(double)>& progress);
   // Ends the child, waits for it and says how it died.
   int Reap(bool kill);
+  void RelayStderr();
   TaskOutcome Death(const v1::TaskSpec& spec);
 
   ComputeProcessOptions options_;
   pid_t pid_ = -1;
   int fd_ = -1;
+  int stderr_fd_ = -1;  // Where it can be read; negative: the child has this process' own.
   ComputeFrameReader reader_;
 };
 

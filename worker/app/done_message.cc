@@ -12,13 +12,6 @@ namespace {
 
 constexpr std::size_t kTextBytesMax = 4096;
 
-// Replaces what is not UTF-8 (file names may be anything) by U+FFFD: a text that is not UTF-8 would make the whole message unreadable.
-std::string ToMessageText(const std::string& text) {
-  using nlohmann::json;
-  const std::string quoted = json(text.substr(0, kTextBytesMax)).dump(-1, ' ', false, json::error_handler_t::replace);
-  return json::parse(quoted).get<std::string>();
-}
-
 std::uint64_t PeakMemoryBytes() {
   rusage usage{};
   return ::getrusage(RUSAGE_SELF, &usage) == 0 ? static_cast<std::uint64_t>(usage.ru_maxrss) * 1024 : 0;
@@ -31,6 +24,12 @@ void SetFailure(const Status& status, v1::Done* done) {
 }
 
 }  // namespace
+
+std::string ToMessageText(const std::string& text) {
+  using nlohmann::json;
+  const std::string quoted = json(text.substr(0, kTextBytesMax)).dump(-1, ' ', false, json::error_handler_t::replace);
+  return json::parse(quoted).get<std::string>();
+}
 
 v1::Envelope MakeDone(const v1::TaskAttempt& attempt, const ComputeThread::Finished& finished) {
   v1::Envelope envelope;

@@ -136,7 +136,11 @@ Status Serve(ServeOptions serve) {
   TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
   signalled_channel = channel.get();
   TREM_ASSIGN_OR_RETURN(const SourceGuard guard, SourceGuard::Make(serve.source_roots, /*closed=*/!serve.key_path.empty()));
-  ComputeProcess compute(ComputeOptionsOf(serve, scratch.path()));
+  AttemptLog log;
+  options.log = &log;
+  ComputeProcessOptions compute_options = ComputeOptionsOf(serve, scratch.path());
+  compute_options.on_stderr = [&log](std::string_view bytes) { log.Add(bytes); };
+  ComputeProcess compute(std::move(compute_options));
   const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> TaskOutcome {
     TREM_RETURN_IF_ERROR(guard.Check(spec.sortie()));
     return compute.Run(spec, progress);

@@ -175,6 +175,8 @@ class WorkerLoop {
     queued_.pop_front();
     running_ = AttemptOf(dispatch);
     next_progress_ = {};
+    next_log_ = Clock::now() + options_.log_interval;
+    if (options_.log != nullptr) options_.log->Begin();
     LogWith(spdlog::level::info, v1::TaskKind_Name(dispatch.task().kind()) + " begins",
             {{"task", running_->task_key()}, {"attempt", std::to_string(running_->attempt())}, {"worker", options_.worker_id}});
     compute_.Start(std::move(*dispatch.mutable_task()));
@@ -185,6 +187,7 @@ class WorkerLoop {
     if (!finished) return;
     v1::TaskAttempt attempt = *std::exchange(running_, std::nullopt);
     stuck_deadline_.reset();
+    SendLog(attempt, true, now);
     LogWith(spdlog::level::info,
             "ended after " + std::to_string(finished->elapsed.count()) + " ms: " + finished->outcome.result.status().ToString(),
             {{"task", attempt.task_key()}, {"attempt", std::to_string(attempt.attempt())}, {"worker", options_.worker_id}});
@@ -237,11 +240,26 @@ class WorkerLoop {
         next_progress_ = now + options_.progress_interval;
       }
     }
+    if (running_ && options_.log != nullptr && now >= next_log_) {
+      next_log_ = now + options_.log_interval;
+      SendLog(*running_, false, now);
+    }
     if (now - last_sent_ >= heartbeat_interval_) {
       v1::Envelope envelope;
       envelope.mutable_heartbeat();
       if (!Send(envelope, now)) is_welcome_ = false;  // The connection broke: a new one begins with Hello.
     }
+  }
+
+  // Lost or not: nothing depends on it.
+  void SendLog(const v1::TaskAttempt& attempt, bool is_end, TimePoint now) {
+    if (options_.log == nullptr) return;
+    std::vector<std::string> lines = options_.log->Take(is_end);
+    if (lines.empty() || !is_welcome_) return;
+    v1::Envelope envelope;
+    *envelope.mutable_task_log()->mutable_attempt() = attempt;
+    for (std::string& line : lines) envelope.mutable_task_log()->add_lines(std::move(line));
+    Send(envelope, now);
   }
 
   v1::Envelope MakeHello() const {
@@ -324,6 +342,7 @@ class WorkerLoop {
   TimePoint last_sent_{};
   TimePoint next_hello_{};
   TimePoint next_progress_{};
+  TimePoint next_log_{};
   std::optional<TimePoint> stuck_deadline_;  // Set while the running task is cancelled.
   std::optional<TimePoint> drain_deadline_;  // Set once this worker leaves: how long it waits for Acks when nothing runs.
   std::optional<TimePoint> cancel_at_;       // Set once it was told to stop: what runs then is handed back.

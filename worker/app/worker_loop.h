@@ -8,6 +8,7 @@
 #include "mosaic/base/status.h"
 #include "mosaic/base/version.h"
 #include "proto/channel/dealer_channel.h"
+#include "worker/app/attempt_log.h"
 #include "worker/app/compute_thread.h"
 
 namespace trem {
@@ -19,6 +20,9 @@ struct WorkerOptions {
   std::string engine_revision = kEngineRevision;
   std::uint64_t memory_bytes_max = 0;  // Told to the coordinator, which sends no task that needs more. 0: no limit.
 
+  AttemptLog* log = nullptr;  // Whose lines are sent to the coordinator as they come. May be null.
+
+  std::chrono::milliseconds log_interval{1000};      // And at the end of an attempt.
   std::chrono::milliseconds hello_interval{1000};    // Until a Welcome.
   std::chrono::milliseconds progress_interval{250};  // Progress is sent at most this often.
   std::chrono::milliseconds done_resend{2000};       // A Done without Ack is sent again after this.

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 
+#include "mosaic/base/digest.h"
 #include "mosaic/base/version.h"
 #include "proto/codec/convert.h"
 #include "tests/support/paths.h"
@@ -45,6 +46,8 @@ class ShellTest : public ::testing::Test {
     shell->Receive(now_ms, peer, envelope);
     EXPECT_TRUE(sent.empty()) << "something left before Flush";
     EXPECT_TRUE(shell->Flush().ok());
+    while (shell->Maintain()) {
+    }
     return sent;
   }
 
@@ -220,6 +223,54 @@ TEST_F(ShellTest, TakesNothingInWhileTheDiskIsFullAndGoesOnWhenThereIsRoom) {
   EXPECT_EQ(Say("client", Submit("another")).back().second.job_status().state(), v1::JOB_RUNNING);
   Start();
   EXPECT_EQ(Say("client", GetJob(waiting))[0].second.job_status().state(), v1::JOB_RUNNING);
+}
+
+TEST_F(ShellTest, KeepsALogOfEachJobWithWhatWorkersWroteToStderr) {
+  ShellOptions options;
+  options.job_log_folder = folder / "logs";
+  options.wall_clock_ms = [] { return std::uint64_t{5'000}; };
+  Start({}, options);
+  Say("client", Submit("job"));
+  const v1::Dispatch dispatch = Say("peer", Hello("w1"))[1].second.dispatch();
+  v1::Envelope log;
+  log.mutable_task_log()->mutable_attempt()->set_task_key(dispatch.task().key());
+  log.mutable_task_log()->mutable_attempt()->set_attempt(1);
+  log.mutable_task_log()->add_lines("a corrupt frame\x1b[2J");
+  Say("peer", log);
+  Say("peer", DoneIngest(dispatch));
+  v1::Envelope question;
+  question.mutable_get_log()->set_job_id("job");
+  const Sent out = Say("client", question);
+  std::string texts;
+  for (const v1::LogLine& line : out[0].second.log_page().lines()) {
+    EXPECT_EQ(line.time_ms(), 5'000U);
+    texts += line.task() + "#" + std::to_string(line.attempt()) + " " + line.worker_id() + " " + line.text() + "\n";
+  }
+  EXPECT_THAT(texts, HasSubstr("INGEST#1 w1 handed out\n"));
+  EXPECT_THAT(texts, HasSubstr("INGEST#1 w1 stderr: a corrupt frame [2J\n")) << "control characters do not reach terminals";
+  EXPECT_THAT(texts, HasSubstr("INGEST#1 w1 result after"));
+  question.mutable_get_log()->set_job_id("other");
+  EXPECT_THAT(Say("client", question)[0].second.error().message(), HasSubstr("there is no job 'other'"));
+}
+
+TEST_F(ShellTest, MakesABackupWhileItGoesOn) {
+  ShellOptions options;
+  options.backup_folder = folder / "backups";
+  Start({}, options);
+  Say("client", Submit("job"));
+  v1::Envelope question;
+  question.mutable_backup()->set_backup_id("nightly");
+  EXPECT_LT(Say("admin", question)[0].second.backup_status().fraction(), 1.0);
+  const v1::BackupStatus done = Say("admin", question)[0].second.backup_status();
+  EXPECT_EQ(done.fraction(), 1.0);
+  EXPECT_EQ(done.path(), (folder / "backups" / "nightly.sqlite").string());
+  EXPECT_EQ(done.sha256(), Sha256HexOfFile(done.path()).value());
+  Say("client", Submit("later", 1));
+  shell.reset();
+  ASSERT_TRUE(EventStore::Restore(done.path(), folder / "state").ok());
+  Start({}, options);
+  EXPECT_EQ(Say("client", GetJob("job"))[0].second.job_status().state(), v1::JOB_RUNNING);
+  EXPECT_THAT(Say("client", GetJob("later"))[0].second.error().message(), HasSubstr("there is no job 'later'"));
 }
 
 TEST_F(ShellTest, ReplacesALongLogByASnapshotOfTheSameState) {

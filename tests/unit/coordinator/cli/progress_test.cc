@@ -33,6 +33,14 @@ TEST(ProgressLine, NamesTheFirstStageThatIsNotDone) {
   EXPECT_EQ(ProgressLine(RunningJob()), " 99% enhance 12/40, 2 workers, about 1:20 left");
 }
 
+TEST(ProgressLine, TellsHowSureTheEstimateIs) {
+  v1::JobStatus job = RunningJob();
+  job.set_eta_low_s(65);
+  job.set_eta_high_s(110);
+  EXPECT_EQ(TimeLeftText(job), "1:20 left (1:05 to 1:50)");
+  EXPECT_EQ(ProgressLine(job), " 99% enhance 12/40, 2 workers, about 1:20 left (1:05 to 1:50)");
+}
+
 TEST(ProgressLine, DoesNotInventAnEstimate) {
   v1::JobStatus job = RunningJob();
   job.set_eta_s(-1);

@@ -12,10 +12,12 @@
 #include <array>
 #include <csignal>
 #include <filesystem>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
 
+#include "mosaic/base/digest.h"
 #include "tests/support/paths.h"
 
 namespace trem {
@@ -43,6 +45,17 @@ Result<std::vector<std::uint32_t>> ReadAll(const EventStore& store) {
     numbers.push_back(event.attempt_started().attempt());
     return {};
   }));
+  return numbers;
+}
+
+// Events of the snapshot and after it.
+std::vector<std::uint32_t> Numbers(const EventStore& store) {
+  std::vector<std::uint32_t> numbers;
+  const Status status = store.Replay([&](std::int64_t, const v1::LogEvent& event) {
+    numbers.push_back(event.attempt_started().attempt());
+    return Status();
+  });
+  EXPECT_TRUE(status.ok()) << status.ToString();
   return numbers;
 }
 
@@ -169,7 +182,7 @@ TEST(EventStoreTest, RefusesANewerSchemaVersionByNumber) {
   const auto store = EventStore::Open(folder.path());
   ASSERT_FALSE(store.ok());
   EXPECT_EQ(store.status().code(), StatusCode::kInvalidInput);
-  EXPECT_THAT(store.status().message(), HasSubstr("has schema version 7; this program reads versions up to 2"));
+  EXPECT_THAT(store.status().message(), HasSubstr("has schema version 7; this program reads versions up to 3"));
 }
 
 // What a program of schema version 1 left behind.
@@ -177,12 +190,130 @@ TEST(EventStoreTest, MigratesALogOfTheFirstSchemaVersion) {
   const TempDir folder;
   const fs::path path = folder / "events.sqlite";
   ASSERT_TRUE(MustOpen(folder.path())->Append(std::vector{MakeEvent(1), MakeEvent(2)}).ok());
-  ExecuteSql(path, "DROP TABLE snapshot; PRAGMA user_version = 1");
+  ExecuteSql(path, "DROP TABLE snapshot; DROP TABLE log_state; PRAGMA user_version = 1");
   const auto store = MustOpen(folder.path());
   EXPECT_EQ(ReadAll(*store).value(), (std::vector<std::uint32_t>{1, 2}));
   ASSERT_TRUE(store->Append(std::vector{MakeEvent(3)}).ok());
   EXPECT_EQ(store->event_count(), 3U);
   EXPECT_TRUE(store->Compact(std::vector{MakeEvent(9)}).ok());
+}
+
+TEST(EventStoreTest, MigratesALogOfTheSecondSchemaVersionWithItsSnapshot) {
+  const TempDir folder;
+  {
+    const auto store = MustOpen(folder.path());
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(1)}).ok());
+    ASSERT_TRUE(store->Compact(std::vector{MakeEvent(10), MakeEvent(11)}).ok());
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(2)}).ok());
+  }
+  ExecuteSql(folder / "events.sqlite", "DROP TABLE log_state; PRAGMA user_version = 2");
+  const auto store = MustOpen(folder.path());
+  EXPECT_EQ(store->snapshot_count(), 2U);
+  EXPECT_EQ(Numbers(*store), (std::vector<std::uint32_t>{10, 11, 2}));
+}
+
+// Goal: a snapshot that is written bit by bit never shows: at every moment, and after a crash at every moment, the log is either the old
+// one or the new, and holds what was appended meanwhile. Method: 2000 rows, an append after each piece, and after each piece a copy of the
+// files that is opened as after a crash.
+TEST(EventStoreTest, CompactsInPiecesBetweenAppendsAndThroughCrashes) {
+  const TempDir folder;
+  auto store = MustOpen(folder / "state");
+  std::vector<std::uint32_t> before;
+  for (std::uint32_t i = 0; i < 20; ++i) before.push_back(i);
+  for (const std::uint32_t i : before) ASSERT_TRUE(store->Append(std::vector{MakeEvent(i, 300)}).ok());
+  std::vector<std::uint32_t> after, appended;
+  std::uint32_t next = 1000;
+  store->BeginCompaction([&]() -> std::optional<v1::LogEvent> {
+    if (next == 3000) return std::nullopt;
+    after.push_back(next);
+    return MakeEvent(next++, 100);
+  });
+  int pieces = 0;
+  bool has_switched = false;
+  for (bool more = true; more; ++pieces) {
+    const auto result = store->Maintain();
+    ASSERT_TRUE(result.ok()) << result.status().ToString();
+    more = *result;
+    has_switched |= !store->is_compacting();
+    appended.push_back(static_cast<std::uint32_t>(100 + pieces));
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(appended.back())}).ok());
+    std::vector<std::uint32_t> expected = has_switched ? after : before;
+    expected.insert(expected.end(), appended.begin(), appended.end());
+    EXPECT_EQ(Numbers(*store), expected) << "piece " << pieces;
+    const fs::path crashed = folder / ("crashed-" + std::to_string(pieces));
+    fs::create_directories(crashed);
+    for (const char* name : {"events.sqlite", "events.sqlite-wal"}) {
+      if (fs::exists(folder / "state" / name)) fs::copy_file(folder / "state" / name, crashed / name);
+    }
+    const auto reopened = MustOpen(crashed);
+    EXPECT_EQ(Numbers(*reopened), expected) << "after a crash in piece " << pieces;
+    // What was begun there does not stand in the way of the next one.
+    ASSERT_TRUE(reopened->Compact(std::vector{MakeEvent(7)}).ok());
+    ASSERT_TRUE(reopened->Append(std::vector{MakeEvent(8)}).ok());
+    EXPECT_EQ(Numbers(*reopened), (std::vector<std::uint32_t>{7, 8}));
+  }
+  EXPECT_GT(pieces, 10);
+  EXPECT_EQ(store->snapshot_count(), 2000U);
+}
+
+TEST(EventStoreTest, CopiesItselfWhileEventsAreAppended) {
+  const TempDir folder;
+  const auto store = MustOpen(folder / "state");
+  std::vector<std::uint32_t> numbers;
+  const auto append = [&] {
+    numbers.push_back(static_cast<std::uint32_t>(numbers.size()));
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(numbers.back(), 4000)}).ok());
+  };
+  for (int i = 0; i < 1500; ++i) append();
+  const fs::path path = folder / "backups" / "a.sqlite";
+  auto progress = store->Backup(path);
+  ASSERT_TRUE(progress.ok()) << progress.status().ToString();
+  EXPECT_EQ(store->Backup(folder / "backups" / "b.sqlite").status().code(), StatusCode::kUnavailable);
+  std::size_t pieces = 0;
+  for (; progress.ok() && progress->fraction < 1.0; ++pieces) {
+    EXPECT_FALSE(fs::exists(path)) << "half a copy must not be seen";
+    ASSERT_TRUE(store->Maintain().ok());
+    if (progress->fraction < 0.4) append();
+    progress = store->Backup(path);
+  }
+  ASSERT_TRUE(progress.ok()) << progress.status().ToString();
+  EXPECT_GT(pieces, 5U);
+  EXPECT_EQ(progress->sha256, Sha256HexOfFile(path).value());
+  const auto kept = EventStore::Restore(path, folder / "restored");
+  ASSERT_TRUE(kept.ok()) << kept.status().ToString();
+  EXPECT_TRUE(kept->empty());
+  EXPECT_EQ(Numbers(*MustOpen(folder / "restored")), numbers);
+}
+
+TEST(EventStoreTest, RestoresABackupOverALogThatIsKept) {
+  const TempDir folder;
+  {
+    const auto store = MustOpen(folder / "state");
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(1)}).ok());
+    while (store->Backup(folder / "a.sqlite")->fraction < 1.0) ASSERT_TRUE(store->Maintain().ok());
+    ASSERT_TRUE(store->Append(std::vector{MakeEvent(2)}).ok());
+    EXPECT_EQ(EventStore::Restore(folder / "a.sqlite", folder / "state").status().code(), StatusCode::kUnavailable) << "it is in use";
+  }
+  const auto kept = EventStore::Restore(folder / "a.sqlite", folder / "state");
+  ASSERT_TRUE(kept.ok()) << kept.status().ToString();
+  EXPECT_EQ(Numbers(*MustOpen(folder / "state")), (std::vector<std::uint32_t>{1}));
+  EXPECT_EQ(Numbers(*MustOpen(*kept)), (std::vector<std::uint32_t>{1, 2}));
+}
+
+TEST(EventStoreTest, RefusesABackupThatIsNoneOrDamaged) {
+  const TempDir folder;
+  WriteFileContents(folder / "text", "this is no database, whatever its name says; it is long enough to look at");
+  EXPECT_EQ(EventStore::Restore(folder / "text", folder / "state").status().code(), StatusCode::kCorrupt);
+  {
+    const auto store = MustOpen(folder / "state");
+    ASSERT_TRUE(store->Append(std::vector<v1::LogEvent>(200, MakeEvent(1, 1000))).ok());
+    while (store->Backup(folder / "a.sqlite")->fraction < 1.0) ASSERT_TRUE(store->Maintain().ok());
+  }
+  std::string bytes = FileContents(folder / "a.sqlite");
+  for (std::size_t i = 8192; i < 8292; ++i) bytes[i] = '\x7f';
+  WriteFileContents(folder / "damaged", bytes);
+  EXPECT_EQ(EventStore::Restore(folder / "damaged", folder / "state").status().code(), StatusCode::kCorrupt);
+  EXPECT_EQ(MustOpen(folder / "state")->event_count(), 200U) << "what was there stays";
 }
 
 TEST(EventStoreTest, ReplaysTheSnapshotThenWhatCameAfterIt) {
@@ -201,7 +332,7 @@ TEST(EventStoreTest, ReplaysTheSnapshotThenWhatCameAfterIt) {
   std::vector<std::uint32_t> numbers;
   ASSERT_TRUE(store
                   ->Replay([&](std::int64_t sequence, const v1::LogEvent& event) {
-                    EXPECT_EQ(sequence, numbers.empty() ? 0 : 1);
+                    EXPECT_EQ(sequence, numbers.empty() ? 0 : 4);
                     numbers.push_back(event.attempt_started().attempt());
                     return Status();
                   })

@@ -58,6 +58,25 @@ v1::Envelope SomeSubmit() {
   return envelope;
 }
 
+v1::Envelope SomeTaskLog() {
+  v1::Envelope envelope;
+  envelope.mutable_task_log()->mutable_attempt()->set_task_key(std::string(64, 'a'));
+  envelope.mutable_task_log()->add_lines("a line");
+  return envelope;
+}
+
+v1::Envelope SomeGetLog() {
+  v1::Envelope envelope;
+  envelope.mutable_get_log()->set_job_id("job");
+  return envelope;
+}
+
+v1::Envelope SomeBackup() {
+  v1::Envelope envelope;
+  envelope.mutable_backup()->set_backup_id("nightly");
+  return envelope;
+}
+
 v1::Envelope SomeJobStatus() {
   v1::Envelope envelope;
   envelope.mutable_job_status()->set_job_id("job-1");
@@ -156,6 +175,16 @@ TEST(Envelope, RefusesValuesOutOfRangeAndNamesThem) {
       {SomeSubmit(), [](auto* e) { e->mutable_submit_job()->set_job_id("a/b"); }, "submit_job: job_id is 'a/b'"},
       {SomeSubmit(), [](auto* e) { e->mutable_submit_job()->set_job_id(std::string(65, 'a')); }, "submit_job: job_id is"},
       {SomeSubmit(), [](auto* e) { e->mutable_submit_job()->clear_sortie(); }, "submit_job: sortie is missing"},
+      {SomeTaskLog(), [](auto* e) { e->mutable_task_log()->set_lines(0, std::string(5000, 'x')); }, "task_log: line is 5000 bytes long"},
+      {SomeTaskLog(),
+       [](auto* e) {
+         for (int i = 0; i < 300; ++i) e->mutable_task_log()->add_lines("x");
+       },
+       "task_log: lines is 301 lines"},
+      {SomeGetLog(), [](auto* e) { e->mutable_get_log()->set_job_id("../x"); }, "get_log: job_id is '../x'"},
+      {SomeBackup(), [](auto* e) { e->mutable_backup()->set_backup_id("../x"); }, "backup: backup_id is malformed"},
+      {SomeJobStatus(), [](auto* e) { e->mutable_job_status()->set_eta_high_s(std::numeric_limits<double>::infinity()); },
+       "job_status: eta_high_s is inf"},
       {SomeJobStatus(), [](auto* e) { e->mutable_job_status()->set_eta_s(std::numeric_limits<double>::infinity()); },
        "job_status: eta_s is inf"},
   };

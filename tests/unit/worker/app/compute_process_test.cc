@@ -12,6 +12,10 @@
 #include <chrono>
 #include <memory>
 #include <string>
+#include <string_view>
+#include <vector>
+
+#include "worker/app/attempt_log.h"
 
 namespace trem {
 namespace {
@@ -53,6 +57,33 @@ TEST_F(ComputeProcessTest, ComputesTaskAfterTaskAndReportsProgress) {
   ExpectWorks();
   EXPECT_EQ(largest_, 0.5);
   ExpectWorks();
+}
+
+TEST_F(ComputeProcessTest, HandsOnWhatTheChildWritesToStderrItsLastWordsToo) {
+  AttemptLog log;
+  ComputeProcessOptions options = Options();
+  options.on_stderr = [&log](std::string_view bytes) { log.Add(bytes); };
+  process_ = std::make_unique<ComputeProcess>(options);
+  for (const char* what : {"mutter", "last-words"}) {
+    log.Begin();
+    EXPECT_EQ(Run(what).result.ok(), std::string(what) == "mutter");
+    process_.reset();  // Waits for the child; what it wrote is in the pipe.
+    EXPECT_THAT(log.Take(true), ElementsAre("a corrupt frame", "half a line")) << what;
+    process_ = std::make_unique<ComputeProcess>(options);
+  }
+}
+
+TEST(AttemptLog, IsBoundedAndSaysWhatItLeftOut) {
+  AttemptLog log;
+  log.Begin();
+  for (std::size_t i = 0; i < AttemptLog::kLinesMax + 5; ++i) log.Add(std::string(5000, 'x') + "\xff\n");
+  const std::vector<std::string> lines = log.Take(false);
+  ASSERT_EQ(lines.size(), AttemptLog::kLinesMax);
+  EXPECT_EQ(lines[0].size(), AttemptLog::kLineBytesMax);
+  EXPECT_THAT(log.Take(true), ElementsAre("... and 5 more lines"));
+  log.Begin();
+  log.Add("not UTF-8: \xff\n");
+  EXPECT_THAT(log.Take(true), ElementsAre("not UTF-8: \xef\xbf\xbd"));
 }
 
 TEST_F(ComputeProcessTest, TurnsEveryDeathIntoAFailureThatSaysHowAndGoesOn) {

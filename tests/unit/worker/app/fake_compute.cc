@@ -2,6 +2,7 @@
 #include <sys/resource.h>
 
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <string>
 #include <thread>
@@ -29,6 +30,10 @@ TaskOutcome Misbehave(const v1::TaskSpec& spec, const std::function<bool(double)
   if (what == "obedient") {
     while (progress(0.25)) std::this_thread::sleep_for(std::chrono::milliseconds(5));
     return trem::Cancelled("as asked");
+  }
+  if (what == "mutter" || what == "last-words") {
+    std::fputs("a corrupt frame\nhalf a line", stderr);
+    if (what == "last-words") std::abort();
   }
   if (what == "fail") {
     TaskOutcome outcome = trem::Corrupt("window.pb is damaged");

@@ -38,6 +38,29 @@ TEST(WorkerLoop, IntroducesItselfUntilWelcomed) {
   EXPECT_TRUE(harness.Stop().ok());
 }
 
+TEST(WorkerLoop, SendsWhatATaskWroteToStderrWhileItRunsAndAtItsEnd) {
+  Harness harness;
+  AttemptLog log;
+  harness.options().log = &log;
+  harness.options().log_interval = milliseconds(10);
+  std::atomic<bool> may_end{false};
+  harness.StartWorker([&](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
+    log.Add("first\n");
+    while (!may_end && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
+    log.Add("last");
+    return ResultOf(spec);
+  });
+  harness.Welcome();
+  harness.Dispatch(kKeyA, 3);
+  const v1::TaskLog running = harness.Await(v1::Envelope::kTaskLog).task_log();
+  EXPECT_EQ(running.attempt().task_key(), kKeyA);
+  EXPECT_EQ(running.attempt().attempt(), 3u);
+  EXPECT_THAT(running.lines(), ::testing::ElementsAre("first"));
+  may_end = true;
+  EXPECT_THAT(harness.Await(v1::Envelope::kTaskLog).task_log().lines(), ::testing::ElementsAre("last"));
+  EXPECT_TRUE(harness.Stop().ok());
+}
+
 TEST(WorkerLoop, ComputesATaskAndKeepsTheResultUntilTheAck) {
   Harness harness;
   std::atomic<int> runs{0};

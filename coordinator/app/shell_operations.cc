@@ -1,0 +1,89 @@
+// The part of Shell that serves operators: logs of jobs, backups.
+#include <fmt/format.h>
+
+#include <utility>
+
+#include "coordinator/app/shell.h"
+#include "mosaic/base/log.h"
+
+namespace trem {
+
+void Shell::NoteJob(const std::string& job_id, v1::LogLine line) {
+  if (!job_log_) return;
+  if (options_.wall_clock_ms) line.set_time_ms(options_.wall_clock_ms());
+  job_log_->Append(job_id, std::move(line));
+}
+
+void Shell::NoteTask(const std::string& task_key, std::uint32_t attempt, const std::string& worker_id, const std::string& text,
+                     bool is_warning) {
+  if (!job_log_) return;
+  for (const Scheduler::TaskUse& use : scheduler_.UsesOf(task_key)) {
+    v1::LogLine line;
+    line.set_task(use.title);
+    line.set_task_key(task_key);
+    line.set_attempt(attempt);
+    line.set_worker_id(worker_id);
+    line.set_text(text);
+    line.set_warning(is_warning);
+    NoteJob(use.job_id, std::move(line));
+  }
+}
+
+// A failure is told by what the scheduler makes of it.
+void Shell::NoteDone(const std::string& worker_id, const v1::Done& done) {
+  if (!job_log_ || done.status_code() != 0) return;
+  const v1::TaskAttempt& attempt = done.attempt();
+  NoteTask(attempt.task_key(), attempt.attempt(), worker_id,
+           fmt::format("result after {:.3f} s, at most {} MiB of memory", static_cast<double>(done.elapsed_ms()) / 1000.0,
+                       done.peak_memory_bytes() >> 20));
+  for (const v1::Note& note : done.result().notes()) {
+    NoteTask(attempt.task_key(), attempt.attempt(), worker_id, note.subject() + (note.subject().empty() ? "" : ": ") + note.message(),
+             note.severity() == v1::WARNING);
+  }
+}
+
+void Shell::OnTaskLog(const std::string& worker_id, const v1::TaskLog& log) {
+  for (const std::string& text : log.lines()) NoteTask(log.attempt().task_key(), log.attempt().attempt(), worker_id, "stderr: " + text);
+}
+
+void Shell::OnGetLog(const std::string& peer, const v1::GetLog& get) {
+  if (!job_log_) return Refuse(peer, InvalidInput("this coordinator keeps no logs of jobs"));
+  if (scheduler_.FindSortie(get.job_id()) == nullptr) {
+    return Refuse(peer, NotFound("there is no job '" + get.job_id() + "'; `trem list` shows all"));
+  }
+  v1::Envelope reply;
+  *reply.mutable_log_page() = job_log_->Page(get);
+  SendTo(peer, std::move(reply));
+}
+
+void Shell::OnBackup(const std::string& peer, const v1::Backup& backup) {
+  if (options_.backup_folder.empty()) return Refuse(peer, InvalidInput("this coordinator makes no backups"));
+  const Result<EventStore::BackupProgress> progress = events_->Backup(options_.backup_folder / (backup.backup_id() + ".sqlite"));
+  if (!progress.ok()) return Refuse(peer, progress.status());
+  v1::Envelope reply;
+  v1::BackupStatus* status = reply.mutable_backup_status();
+  status->set_backup_id(backup.backup_id());
+  status->set_fraction(progress->fraction);
+  status->set_path(progress->path.string());
+  status->set_bytes(progress->bytes);
+  status->set_sha256(progress->sha256);
+  SendTo(peer, std::move(reply));
+}
+
+bool Shell::Maintain() {
+  if (is_full_) return false;
+  const bool was_compacting = events_->is_compacting();
+  const std::uint64_t before = events_->event_count() + events_->snapshot_count();
+  const Result<bool> more = events_->Maintain();
+  if (!more.ok()) {
+    spdlog::warn("{}", more.status().message());
+    if (was_compacting) options_.compact_after_events *= 2;  // Not at every message.
+    return false;
+  }
+  if (was_compacting && !events_->is_compacting()) {
+    spdlog::info("the log of {} events became a snapshot of {} and {} events", before, events_->snapshot_count(), events_->event_count());
+  }
+  return *more;
+}
+
+}  // namespace trem

@@ -1,0 +1,215 @@
+// Questions: how many tasks a second does the service get done when the tasks cost nothing, with real processes and durable commits; and
+// what do idle workers cost? Prints tasks a second end to end (submit to the last commit), what share of the processors coordinator and
+// workers took, and the coordinator's CPU time a task; then its CPU share with --idle workers that only say that they are alive.
+//
+// Budget: on two cores, 5 000 tasks/s leave 400 us of CPU time a task for everybody: two messages and two log events at the coordinator,
+// and three hops between threads and processes at the worker.
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+#include <zmq.hpp>
+
+#include "coordinator/cli/client.h"
+#include "mosaic/base/check.h"
+#include "mosaic/base/version.h"
+#include "proto/codec/envelope.h"
+#include "tests/support/paths.h"
+#include "tests/support/subprocess.h"
+#include "tests/unit/coordinator/scheduling/fake_tasks.h"
+
+namespace trem {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+using testing::BinaryPath;
+using testing::Subprocess;
+
+std::string FirstLine(const std::string& text) { return text.substr(0, text.find('\n')); }
+
+double Seconds(Clock::time_point since) { return std::chrono::duration<double>(Clock::now() - since).count(); }
+
+// User and system time of a process and of its children that have ended.
+double CpuSeconds(pid_t pid) {
+  std::ifstream file("/proc/" + std::to_string(pid) + "/stat");
+  std::string text((std::istreambuf_iterator<char>(file)), {});
+  text = text.substr(text.rfind(')') + 2);
+  std::istringstream fields(text);
+  std::string word;
+  double ticks = 0.0;
+  for (int i = 3; fields >> word && i <= 17; ++i) {
+    if (i >= 14) ticks += std::stod(word);
+  }
+  return ticks / static_cast<double>(::sysconf(_SC_CLK_TCK));
+}
+
+double ResidentMiB(pid_t pid) {
+  std::ifstream file("/proc/" + std::to_string(pid) + "/statm");
+  double total = 0.0, resident = 0.0;
+  file >> total >> resident;
+  return resident * static_cast<double>(::sysconf(_SC_PAGESIZE)) / (1 << 20);
+}
+
+struct Options {
+  int workers = 8;
+  int jobs = 20;
+  std::uint32_t windows = 1000;
+  int idle = 1000;
+  double idle_s = 10.0;
+  std::string folder;
+};
+
+class Service {
+ public:
+  explicit Service(const Options& options) : options_(options) {
+    fs::create_directories(options.folder);
+    const fs::path ready = fs::path(options.folder) / "ready";
+    coordinator_ = std::make_unique<Subprocess>(std::vector<std::string>{
+        BinaryPath("trem-coordinator").string(), "--state", options.folder + "/state", "--store", options.folder + "/store", "--bind",
+        "tcp://127.0.0.1:*", "--ready-file", ready.string(), "--log-level", "warn"});
+    for (int i = 0; i < 1000 && !fs::exists(ready); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    endpoint_ = FirstLine(testing::FileContents(ready));
+  }
+  void MeasureThroughput() const;
+  void MeasureIdle() const;
+
+ private:
+  const Options& options_;
+  std::unique_ptr<Subprocess> coordinator_;
+  std::string endpoint_;
+};
+
+void Service::MeasureThroughput() const {
+  Client client(endpoint_, std::chrono::seconds(30));
+  std::vector<std::unique_ptr<Subprocess>> workers;
+  for (int i = 0; i < options_.workers; ++i) {
+    workers.push_back(std::make_unique<Subprocess>(std::vector<std::string>{BinaryPath("no_op_worker").string(), "--coordinator", endpoint_,
+                                                                            "--windows", std::to_string(options_.windows)}));
+  }
+  v1::Envelope question;
+  question.mutable_list_workers();
+  for (;;) {
+    const auto answer = client.Ask(question);
+    TREM_CHECK_MSG(answer.ok(), answer.status().ToString());
+    if (answer->worker_list().workers_size() == options_.workers) break;
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+  const auto start = Clock::now();
+  const double cpu_start = CpuSeconds(coordinator_->pid());
+  for (int i = 0; i < options_.jobs; ++i) {
+    const std::string id = "job-" + std::to_string(i);
+    const auto job = client.Submit(id, testing::FakeSortie(id));
+    TREM_CHECK_MSG(job.ok(), job.status().ToString());
+  }
+  std::uint64_t done = 0;
+  question.mutable_list_jobs();
+  for (bool running = true; running;) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(250));
+    const auto answer = client.Ask(question);
+    TREM_CHECK_MSG(answer.ok(), answer.status().ToString());
+    running = false;
+    done = 0;
+    for (const v1::JobStatus& job : answer->job_list().jobs()) {
+      running |= job.state() == v1::JOB_RUNNING;
+      TREM_CHECK_MSG(job.state() != v1::JOB_FAILED, job.error());
+      for (const v1::StageStatus& stage : job.stages()) done += stage.done();
+    }
+  }
+  const double seconds = Seconds(start);
+  const double cpu = CpuSeconds(coordinator_->pid()) - cpu_start;
+  double worker_cpu = 0.0;
+  for (const auto& worker : workers) {
+    worker_cpu += CpuSeconds(worker->pid());
+    for (const pid_t child : worker->Descendants()) worker_cpu += CpuSeconds(child);
+  }
+  const auto tasks = static_cast<double>(done);
+  std::printf("%.0f tasks on %d workers in %.2f s: %.0f tasks/s, each durable\n", tasks, options_.workers, seconds, tasks / seconds);
+  std::printf("  CPU time a task: coordinator %.0f us, workers %.0f us; %.0f %% of one core, and %.0f %%\n", cpu / tasks * 1e6,
+              worker_cpu / tasks * 1e6, cpu / seconds * 100.0, worker_cpu / seconds * 100.0);
+  std::printf("  coordinator's memory: %.0f MiB, %.1f MiB a 100 000 tasks done\n", ResidentMiB(coordinator_->pid()),
+              ResidentMiB(coordinator_->pid()) / tasks * 1e5);
+}
+
+// Workers that do what the protocol asks of them, all in one thread: Hello, then a Heartbeat at the interval of the Welcome.
+void Service::MeasureIdle() const {
+  zmq::context_t context(1);
+  context.set(zmq::ctxopt::max_sockets, options_.idle + 16);
+  std::vector<zmq::socket_t> sockets;
+  const auto send = [](zmq::socket_t* socket, const v1::Envelope& envelope) {
+    const EnvelopeFrames frames = EncodeEnvelope(envelope);
+    (void)socket->send(zmq::buffer(frames.header), zmq::send_flags::sndmore);
+    (void)socket->send(zmq::buffer(frames.body), zmq::send_flags::none);
+  };
+  for (int i = 0; i < options_.idle; ++i) {
+    sockets.emplace_back(context, zmq::socket_type::dealer);
+    sockets.back().set(zmq::sockopt::linger, 0);
+    sockets.back().connect(endpoint_);
+    v1::Envelope hello;
+    hello.mutable_hello()->set_protocol_version(kProtocolVersion);
+    hello.mutable_hello()->set_engine_revision(kEngineRevision);
+    hello.mutable_hello()->set_worker_id("idle-" + std::to_string(i));
+    hello.mutable_hello()->set_credit(1);
+    send(&sockets.back(), hello);
+  }
+  v1::Envelope heartbeat;
+  heartbeat.mutable_heartbeat();
+  std::vector<std::uint32_t> intervals_ms(sockets.size(), 500);
+  std::vector<Clock::time_point> due(sockets.size(), Clock::now());
+  std::uint64_t received = 0, sent = 0;
+  const auto live = [&](double for_s) {
+    for (const auto until = Clock::now(); Seconds(until) < for_s; std::this_thread::sleep_for(std::chrono::milliseconds(20))) {
+      for (std::size_t i = 0; i < sockets.size(); ++i) {
+        zmq::message_t header, body;
+        while (sockets[i].recv(header, zmq::recv_flags::dontwait) && sockets[i].recv(body, zmq::recv_flags::dontwait)) {
+          ++received;
+          const auto envelope = DecodeEnvelope(header.to_string_view(), body.to_string_view());
+          if (envelope.ok() && envelope->has_welcome()) intervals_ms[i] = envelope->welcome().heartbeat_interval_ms();
+        }
+        if (Clock::now() < due[i]) continue;
+        due[i] = Clock::now() + std::chrono::milliseconds(intervals_ms[i]);
+        send(&sockets[i], heartbeat);
+        ++sent;
+      }
+    }
+  };
+  live(3.0);
+  received = sent = 0;
+  const auto start = Clock::now();
+  const double cpu_start = CpuSeconds(coordinator_->pid());
+  live(options_.idle_s);
+  const double seconds = Seconds(start);
+  std::printf("%d idle workers: coordinator takes %.2f %% of a core; %.0f messages/s from them, %.0f messages/s to them\n", options_.idle,
+              (CpuSeconds(coordinator_->pid()) - cpu_start) / seconds * 100.0, static_cast<double>(sent) / seconds,
+              static_cast<double>(received) / seconds);
+}
+
+}  // namespace
+}  // namespace trem
+
+int main(int argc, char** argv) {
+  trem::Options options;
+  options.folder = (std::filesystem::temp_directory_path() / ("trem-service-throughput-" + std::to_string(::getpid()))).string();
+  CLI::App app("Tasks a second of the whole service, and what idle workers cost.", "service_throughput");
+  app.add_option("--workers", options.workers, "Worker processes")->capture_default_str();
+  app.add_option("--jobs", options.jobs, "Jobs; 0: skip")->capture_default_str();
+  app.add_option("--windows", options.windows, "Windows of a job")->capture_default_str();
+  app.add_option("--idle", options.idle, "Idle workers; 0: skip")->capture_default_str();
+  app.add_option("--idle-s", options.idle_s, "How long they are looked at")->capture_default_str();
+  app.add_option("--folder", options.folder, "Where the log is written; removed afterwards")->capture_default_str();
+  CLI11_PARSE(app, argc, argv);
+  {
+    const trem::Service service(options);
+    if (options.jobs > 0) service.MeasureThroughput();
+    if (options.idle > 0) service.MeasureIdle();
+  }
+  std::filesystem::remove_all(options.folder);
+  return 0;
+}
