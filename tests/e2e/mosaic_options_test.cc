@@ -118,8 +118,11 @@ TEST_F(MosaicOptionsTest, RefusesWhatItCannotMeetBeforeAnythingIsComputed) {
     EXPECT_EQ(run.exit_code, 3) << run.stderr_text;
     EXPECT_THAT(run.stderr_text, HasSubstr(named));
     EXPECT_TRUE(NamesIn(out).empty());
-    for (const auto& stage : nlohmann::json::parse(run.stdout_text)["stages"]) {
-      if (stage["kind"] == "enhance") EXPECT_EQ(stage["done"], 0) << named;
+    const nlohmann::json summary = nlohmann::json::parse(run.stdout_text);
+    for (const auto& stage : summary["stages"]) {
+      if (stage["kind"] == "enhance") {
+        EXPECT_EQ(stage["done"], 0) << named;
+      }
     }
     fs::remove_all(out);
   };

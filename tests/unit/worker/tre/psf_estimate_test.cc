@@ -70,7 +70,9 @@ TEST_P(PsfEstimateOf, APhotographIsTheTruthWithinItsError) {
     const PsfEstimate estimate = EstimatePsfSigma(SpectrumOf(testing::RenderSequence(picture, options)), options.fill_factor);
     Print("photograph", truth, 2.0, estimate);
     // So little blur shows beyond half a cycle a pixel only, where noise and aliases are.
-    if (truth > 0.4) EXPECT_EQ(estimate.doubt, "");
+    if (truth > 0.4) {
+      EXPECT_EQ(estimate.doubt, "");
+    }
     // 24 comparisons in all: one in eighty would be beyond by chance.
     EXPECT_LT(std::abs(estimate.sigma_px - truth), 2.5 * estimate.error_px);
   }
