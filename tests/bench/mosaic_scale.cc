@@ -235,8 +235,8 @@ void Measure(const fs::path& folder, int side, double step_px, int workers, bool
     return;
   }
   const ArtefactStore store = *ArtefactStore::Open(job.store_path);
-  const v1::TaskResult exported = ReadResult(work / "export");
-  for (const v1::ArtefactRef& output : exported.outputs()) {
+  const v1::TaskResult files = ReadResult(work / "export");
+  for (const v1::ArtefactRef& output : files.outputs()) {
     fs::copy_file(*store.Locate(FromProto(output)), work / output.name(), fs::copy_options::overwrite_existing);
   }
   fs::remove_all(work / "store");
