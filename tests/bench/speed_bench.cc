@@ -17,7 +17,7 @@
 // operations given there; of the registration, two planes more (prediction and count of frames) and two passes over the ROI's pixels of
 // 210 operations (value and slopes of the bicubic 120, normal equations 90).
 //
-// usage: speed_bench [--frames N]; see --help
+// usage: speed_bench [--frames N] [--rows ROW ...]; see --help
 #include <fmt/format.h>
 #include <hwy/highway.h>
 
@@ -273,34 +273,49 @@ void PrintThreads(const Sequence& roi, const Sequence& sensor) {
   }
 }
 
-int Run(int frames) {
-  cv::setNumThreads(1);
-  PrintHeader();
-  const Sequence target = MakeSequence(41, 71, 2 * frames);
-  const Times on_target = TimeFrames(target, EngineOf(target), Timing::kCpu, true);
-  PrintTimes(target, EngineOf(target), on_target);
-  const Sequence roi = MakeSequence(151, 151, frames);
-  const Times on_roi = TimeFrames(roi, EngineOf(roi), Timing::kCpu, true);
-  PrintTimes(roi, EngineOf(roi), on_roi);
-  const Sequence sensor = MakeSequence(640, 512, std::max(kFirstTimed + 6, frames / 4));
-  const Times on_sensor = TimeFrames(sensor, EngineOf(sensor), Timing::kCpu, false);
-  PrintTimes(sensor, EngineOf(sensor), on_sensor);
-  PrintEcc(target, on_target);
-  PrintEcc(roi, on_roi);
-  fmt::print("\n");
+// What is measured: parts of the whole run.
+const std::vector<std::string> kRows = {"target", "roi", "sensor", "superres", "threads"};
+
+void PrintRoiPromises(const Times& on_roi) {
   for (std::size_t k = 0; k < kEccCount; ++k) {
     PrintPromise(fmt::format("151 x 151: frame over one findTransformECC call, eps {:.0e}", kEccEps[k]), on_roi.frame_ms / on_roi.ecc_ms[k],
                  "{:.2f}x", 0.6, 0.35, true);
   }
-#ifdef TREM_BENCH_SUPERRES
-  const double superres_ms = SuperresMs();
-  PrintPromise(fmt::format("151 x 151: one superres frame ({:.0f} ms) over a frame", superres_ms), superres_ms / on_roi.frame_ms, "{:.0f}x",
-               1000, 2500, false);
-#endif
   PrintPromise("151 x 151: part of the roofline", 100.0 * on_roi.floor_ms / on_roi.frame_ms, "{:.1f} %", 35, 60, false);
-  PrintPromise("640 x 512: frame over memcpy", on_sensor.frame_ms / on_sensor.memcpy_ms, "{:.2f}x", 4, 2, true);
-  fmt::print("640 x 512: update alone over memcpy {:.2f}x\n", on_sensor.update_ms / on_sensor.memcpy_ms);
-  PrintThreads(roi, sensor);
+}
+
+int Run(int frames, const std::vector<std::string>& rows) {
+  const auto wanted = [&rows](const char* row) { return std::find(rows.begin(), rows.end(), row) != rows.end(); };
+  cv::setNumThreads(1);
+  PrintHeader();
+  const Sequence roi = MakeSequence(151, 151, frames);
+  const Sequence sensor = MakeSequence(640, 512, wanted("sensor") || wanted("threads") ? std::max(kFirstTimed + 6, frames / 4) : 1);
+  if (wanted("target")) {
+    const Sequence target = MakeSequence(41, 71, 2 * frames);
+    const Times on_target = TimeFrames(target, EngineOf(target), Timing::kCpu, true);
+    PrintTimes(target, EngineOf(target), on_target);
+    PrintEcc(target, on_target);
+  }
+  if (wanted("roi") || wanted("superres")) {
+    const Times on_roi = TimeFrames(roi, EngineOf(roi), Timing::kCpu, true);
+    PrintTimes(roi, EngineOf(roi), on_roi);
+    PrintEcc(roi, on_roi);
+    PrintRoiPromises(on_roi);
+#ifdef TREM_BENCH_SUPERRES
+    const double superres_ms = wanted("superres") ? SuperresMs() : 0.0;
+    if (superres_ms > 0.0) {
+      PrintPromise(fmt::format("151 x 151: one superres frame ({:.0f} ms) over a frame", superres_ms), superres_ms / on_roi.frame_ms,
+                   "{:.0f}x", 1000, 2500, false);
+    }
+#endif
+  }
+  if (wanted("sensor")) {
+    const Times on_sensor = TimeFrames(sensor, EngineOf(sensor), Timing::kCpu, false);
+    PrintTimes(sensor, EngineOf(sensor), on_sensor);
+    PrintPromise("640 x 512: frame over memcpy", on_sensor.frame_ms / on_sensor.memcpy_ms, "{:.2f}x", 4, 2, true);
+    fmt::print("640 x 512: update alone over memcpy {:.2f}x\n", on_sensor.update_ms / on_sensor.memcpy_ms);
+  }
+  if (wanted("threads")) PrintThreads(roi, sensor);
   return 0;
 }
 
@@ -311,6 +326,8 @@ int main(int argc, char** argv) {
   int frames = 60;
   CLI::App app("Time of a frame beside peers and the machine's limit");
   app.add_option("--frames", frames, "Frames of the 151 x 151 row")->check(CLI::Range(10, 10000));
+  std::vector<std::string> rows = trem::bench::kRows;
+  app.add_option("--rows", rows, "What is measured")->check(CLI::IsMember(trem::bench::kRows));
   CLI11_PARSE(app, argc, argv);
-  return trem::bench::Run(frames);
+  return trem::bench::Run(frames, rows);
 }

@@ -1,5 +1,7 @@
 #include "worker/registration/row_moments.h"
 
+#include <algorithm>
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "worker/registration/row_moments.cc"
 #include <hwy/foreach_target.h>
@@ -10,8 +12,8 @@ HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 
-// Sums run in 8 lanes on every target: lane k holds pixels k, k + 8, ...
-constexpr int kLanes = 8;
+// Sums run in 16 lanes on every target: lane k holds pixels k, k + 16, ...
+constexpr int kLanes = 16;
 // Pixels beyond are no measurement: infinite ones would make a weight of 0 times infinity.
 constexpr float kPixelMax = 1e18F;
 using Lanes = hn::CappedTag<float, kLanes>;
@@ -50,15 +52,8 @@ HWY_ATTR void Locate(const MomentRow& row, MomentScratch* s) {
     const auto nearest = hn::Add(hn::IfThenElseZero(hn::Ge(tx, half), one),
                                  hn::IfThenElseZero(hn::Ge(ty, half), hn::Set(d, static_cast<float>(row.stride))));
     const auto seen_at = hn::Add(first, hn::IfThenElseZero(inside_i, hn::ConvertTo(di, nearest)));
-    HWY_ALIGN int seen_index[kLanes];
-    hn::StoreU(seen_at, di, seen_index);
-    for (int j = 0; j < step; ++j) s->seen[static_cast<std::size_t>(i + j)] = row.seen[seen_index[j]];
-    const auto n = hn::LoadU(d, s->seen.data() + i);
-    const auto pixel = hn::LoadU(d, s->pixel.data() + i);
-    const auto used = hn::And(hn::And(inside, hn::Ge(n, hn::Set(d, row.seen_min))), hn::Lt(hn::Abs(pixel), hn::Set(d, kPixelMax)));
-    const auto trust = hn::Mul(hn::LoadU(d, s->trust.data() + i), hn::Div(n, hn::Add(n, one)));
-    hn::StoreU(hn::IfThenElseZero(hn::And(used, hn::Gt(trust, hn::Zero(d))), trust), d, s->trust.data() + i);
-    hn::StoreU(hn::IfThenElseZero(used, pixel), d, s->pixel.data() + i);
+    hn::StoreU(seen_at, di, s->nearest.data() + i);
+    hn::StoreU(hn::IfThenElseZero(inside, hn::LoadU(d, s->trust.data() + i)), d, s->trust.data() + i);
     hn::StoreU(hn::IfThenElseZero(inside, tx), d, s->x_fraction.data() + i);
     const auto t = hn::IfThenElseZero(inside, ty);
     const auto t2 = hn::Mul(t, t);
@@ -74,9 +69,10 @@ HWY_ATTR void Locate(const MomentRow& row, MomentScratch* s) {
   }
 }
 
-// Combines the four rows of every pixel's support along y: values and slopes of its four columns.
+// Combines the four rows of every pixel's support along y: values and slopes of its four columns. Fetches the frames that have seen it.
 HWY_ATTR void CombineRows(const MomentRow& row, MomentScratch* s) {
 #if HWY_TARGET == HWY_SCALAR
+  for (int i = 0; i < row.count; ++i) s->seen[static_cast<std::size_t>(i)] = row.seen[s->nearest[static_cast<std::size_t>(i)]];
   for (int i = 0; i < 4 * row.count; ++i) {
     const float* p = row.prediction + s->index[static_cast<std::size_t>(i / 4)] + i % 4;
     const float* w = s->y_weights.data() + i / 4 * 4;
@@ -87,6 +83,7 @@ HWY_ATTR void CombineRows(const MomentRow& row, MomentScratch* s) {
 #else
   const Four d;
   for (int i = 0; i < row.count; ++i) {
+    s->seen[static_cast<std::size_t>(i)] = row.seen[s->nearest[static_cast<std::size_t>(i)]];
     const float* p = row.prediction + s->index[static_cast<std::size_t>(i)];
     const float* w = s->y_weights.data() + 4 * i;
     const float* g = s->y_slopes.data() + 4 * i;
@@ -196,9 +193,13 @@ HWY_ATTR void Accumulate(const MomentRow& row, MomentScratch* scratch, float* la
         gx = hn::Add(hn::Mul(dx, hn::Set(d, row.ax)), hn::Mul(dy, hn::Set(d, row.ay)));
         gy = hn::Add(hn::Mul(dx, hn::Set(d, row.cx)), hn::Mul(dy, hn::Set(d, row.cy)));
       }
-      const V seen = hn::LoadU(d, scratch->trust.data() + i);
-      const auto used = hn::Gt(seen, hn::Zero(d));
-      const V intensity = hn::LoadU(d, scratch->pixel.data() + i);
+      const V n = hn::LoadU(d, scratch->seen.data() + i);
+      const V pixel = hn::LoadU(d, scratch->pixel.data() + i);
+      const V trust = hn::Mul(hn::LoadU(d, scratch->trust.data() + i), hn::Div(n, hn::Add(n, one)));
+      const auto used =
+          hn::And(hn::And(hn::Gt(trust, hn::Zero(d)), hn::Ge(n, hn::Set(d, row.seen_min))), hn::Lt(hn::Abs(pixel), hn::Set(d, kPixelMax)));
+      const V seen = hn::IfThenElseZero(used, trust);
+      const V intensity = hn::IfThenElseZero(used, pixel);
       const V r = hn::Sub(hn::Sub(intensity, hn::Mul(hn::Set(d, row.gain), p)), hn::Set(d, row.offset));
       const V magnitude = hn::Abs(r);
       const V robust = hn::Min(one, hn::Div(hn::Set(d, row.huber), hn::Max(magnitude, hn::Set(d, 1e-20F))));
@@ -213,12 +214,13 @@ HWY_ATTR void Accumulate(const MomentRow& row, MomentScratch* scratch, float* la
   }
 }
 
-// The 8 lanes of each moment, folded in a fixed order: ((0 + 4) + (2 + 6)) + ((1 + 5) + (3 + 7)).
+// The 16 lanes of each moment, folded in a fixed order: k = 0 .. 3 each ((k + (k + 4)) + ((k + 8) + (k + 12))), these as (0 + 2) + (1 + 3).
 HWY_ATTR void Fold(const float* lanes, float* moments) {
 #if HWY_TARGET == HWY_SCALAR
   for (int m = 0; m < kMomentCount; ++m) {
     const float* own = lanes + m * kLanes;
-    moments[m] = ((own[0] + own[4]) + (own[2] + own[6])) + ((own[1] + own[5]) + (own[3] + own[7]));
+    const auto fourth = [own](int k) { return (own[k] + own[k + 4]) + (own[k + 8] + own[k + 12]); };
+    moments[m] = (fourth(0) + fourth(2)) + (fourth(1) + fourth(3));
   }
 #else
   static_assert(kMomentCount % 4 == 0, "four moments at a time");
@@ -227,7 +229,9 @@ HWY_ATTR void Fold(const float* lanes, float* moments) {
   for (int m = 0; m < kMomentCount; m += 4) {
     for (int j = 0; j < 4; ++j) {
       const float* own = lanes + (m + j) * kLanes;
-      hn::Store(hn::Add(hn::LoadU(d, own), hn::LoadU(d, own + 4)), d, folded + 4 * j);
+      const auto low = hn::Add(hn::LoadU(d, own), hn::LoadU(d, own + 4));
+      const auto high = hn::Add(hn::LoadU(d, own + 8), hn::LoadU(d, own + 12));
+      hn::Store(hn::Add(low, high), d, folded + 4 * j);
     }
     hn::Vec<Four> a, b, c, e;
     hn::LoadInterleaved4(d, folded, a, b, c, e);
@@ -257,17 +261,27 @@ namespace trem {
 HWY_EXPORT(RowMomentsTarget);
 
 void MomentScratch::Reserve(int count) {
-  const auto padded = static_cast<std::size_t>((count + 15) / 8 * 8);
+  const auto padded = static_cast<std::size_t>((count + 31) / 16 * 16);
   for (std::vector<float>* plane : {&x_fraction, &seen, &pixel, &trust, &residual}) plane->resize(padded);
   for (std::vector<float>* plane : {&y_weights, &y_slopes, &values, &slopes}) plane->resize(4 * padded);
   index.resize(padded);
+  nearest.resize(padded);
 }
 
 void RowMoments(const MomentRow& row, bool projective, MomentScratch* scratch, float* moments) {
   scratch->Reserve(row.count);
-  for (int i = 0; i < row.count; ++i) {
-    scratch->pixel[static_cast<std::size_t>(i)] = row.pixels[i * row.pixel_step];
-    scratch->trust[static_cast<std::size_t>(i)] = row.weights != nullptr ? row.weights[i * row.pixel_step] : 1.0F;
+  const auto gather = [&row](const float* from, float* to) {
+    if (row.pixel_step == 1) {
+      std::copy(from, from + row.count, to);
+    } else {
+      for (int i = 0; i < row.count; ++i) to[i] = from[i * row.pixel_step];
+    }
+  };
+  gather(row.pixels, scratch->pixel.data());
+  if (row.weights != nullptr) {
+    gather(row.weights, scratch->trust.data());
+  } else {
+    std::fill_n(scratch->trust.begin(), row.count, 1.0F);
   }
   HWY_DYNAMIC_DISPATCH(RowMomentsTarget)(row, projective, scratch, moments);
 }

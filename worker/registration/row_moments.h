@@ -60,11 +60,12 @@ struct MomentScratch {
   std::vector<float> y_weights, y_slopes;  // 4 a pixel.
   std::vector<float> values, slopes;       // 4 a pixel: columns of the 4 x 4 support combined along y.
   std::vector<int> index;                  // Of the support's first pixel.
+  std::vector<int> nearest;                // Of the nearest pixel.
 };
 
 // Adds nothing: overwrites moments[0 .. kMomentCount). `projective`: with the powers of s that only projective views need (else those
 // moments are 0). On return scratch->residual[i] is |r|, or -1 where the pixel was not used. The bytes do not depend on the instruction
-// set: 8 lanes of float sums whatever the vector's length, no fused multiply-add.
+// set: 16 lanes of float sums whatever the vector's length, no fused multiply-add.
 void RowMoments(const MomentRow& row, bool projective, MomentScratch* scratch, float* moments);
 
 }  // namespace trem

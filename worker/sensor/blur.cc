@@ -22,24 +22,27 @@ void Blur::Apply(const Image<float>& input, const Roi& region, Image<float>* out
     return;
   }
   const int radius = psf_.radius();
-  // Columns first: a few rows of their sums stay in the fastest cache until they are filtered along themselves.
-  const int begin = std::max(clipped.x0 - radius, 0);
-  const int end = std::min(clipped.x1 + radius, input.width());
-  const int stride = clipped.width() + 2 * radius + kRowSlack;
-  lines_.resize(static_cast<std::size_t>(stride) * static_cast<std::size_t>(kBlock));
+  FilterBlock block;
+  block.taps = psf_.taps.data();
+  block.radius = radius;
+  block.begin = clipped.x0;
+  block.end = clipped.x1;
+  block.width = input.width();
+  block.first = std::max(clipped.x0 - radius, 0);
+  const int before = radius + kRowSlack;  // Floats of a line before the first wanted column.
+  block.stride = before + clipped.width() + radius + kRowSlack;
+  lines_.resize(static_cast<std::size_t>(block.stride) * kFilterLines);
+  block.lines = lines_.data() + (before - clipped.x0);
   source_.resize(static_cast<std::size_t>(2 * radius + kBlock));
+  block.rows = source_.data();
+  float* out[kBlock];
   for (int first = clipped.y0; first < clipped.y1; first += kBlock) {
-    const int count = std::min(kBlock, clipped.y1 - first);
-    for (int j = 0; j < count + 2 * radius; ++j) {
-      source_[static_cast<std::size_t>(j)] = input.row(ReflectIndex(first + j - radius, input.height())) + begin;
+    block.row_count = std::min(kBlock, clipped.y1 - first);
+    for (int j = 0; j < block.row_count + 2 * radius; ++j) {
+      source_[static_cast<std::size_t>(j)] = input.row(ReflectIndex(first + j - radius, input.height()));
     }
-    const int shift = radius - clipped.x0;  // Column x of the image is at x + shift of a line.
-    FilterColumnBlock(source_.data(), psf_.taps.data(), radius, count, end - begin, lines_.data() + begin + shift, stride);
-    for (int i = 0; i < count; ++i) {
-      float* const line = lines_.data() + static_cast<std::ptrdiff_t>(i) * stride;
-      ReflectRow(line + shift, clipped.x0 - radius, clipped.x1 + radius, input.width());
-      FilterRow(line + radius, psf_.taps.data(), radius, clipped.width(), output->row(first + i) + clipped.x0);
-    }
+    for (int i = 0; i < block.row_count; ++i) out[i] = output->row(first + i);
+    FilterRows(block, out);
   }
 }
 

@@ -12,6 +12,9 @@
 #include <cstring>
 #include <type_traits>
 
+#include "worker/sensor/filter_rows.h"
+#include "worker/sensor/reflect.h"
+
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
@@ -99,73 +102,116 @@ HWY_INLINE V AddPairs(V before, V centre, V after, const V* taps, V sum) {
   }
 }
 
-template <int kRadius, class D, class Emit>
-HWY_INLINE void FilterRowOfRadius(D d, const float* HWY_RESTRICT in, const float* HWY_RESTRICT taps, int count, const Emit& emit) {
-  static_assert(kRadius > 0 && kRadius < 16);
+#endif
+
+// The taps in registers, as far as their number is known.
+template <int kRadius, class D>
+struct Taps {
+  Taps(D d, const float* values) {
+    for (int k = 0; k <= kRadius; ++k) tap[k] = hn::Set(d, values[k]);
+  }
+  hn::Vec<D> tap[kRadius + 1];
+};
+
+// Rows that are filtered together: of their 2 * radius + kRowsTogether rows of input each vector is loaded once, into registers.
+constexpr int kRowsTogether = HWY_TARGET <= HWY_AVX3 ? 4 : 2;
+
+// Column x of kRows rows, down the columns: store(i, sum). kRadius 0: any radius.
+template <int kRows, int kRadius, class D, class Load, class Store>
+HWY_INLINE void FilterColumnsAt(D d, const float* const* rows, const Taps<kRadius, D>& known, const float* HWY_RESTRICT taps, int radius,
+                                std::ptrdiff_t x, const Load& load, const Store& store) {
   using V = hn::Vec<D>;
-  V tap[kRadius + 1];
-  for (int k = 0; k <= kRadius; ++k) tap[k] = hn::Set(d, taps[k]);
-  V before = hn::MaskedLoad(hn::Not(hn::FirstN(d, 16 - kRadius)), d, in - 16);
-  V centre = hn::LoadU(d, in);
-  const std::size_t end = static_cast<std::size_t>(count);
-  for (std::size_t x = 0; x < end; x += 16) {
-    const V after = hn::LoadU(d, in + x + 16);
-    emit(x, AddPairs<1, kRadius>(before, centre, after, tap, hn::Mul(tap[0], centre)));
-    before = centre;
-    centre = after;
+  if constexpr (kRadius > 0) {
+    V in[2 * kRadius + kRows];
+    for (int j = 0; j < 2 * kRadius + kRows; ++j) in[j] = load(rows[j] + x);
+    for (int i = 0; i < kRows; ++i) {
+      V sum = hn::Mul(known.tap[0], in[i + kRadius]);
+      for (int k = 1; k <= kRadius; ++k) sum = hn::MulAdd(known.tap[k], hn::Add(in[i + kRadius - k], in[i + kRadius + k]), sum);
+      store(i, sum);
+    }
+  } else {
+    for (int i = 0; i < kRows; ++i) {
+      const float* const* centre = rows + i + radius;
+      V sum = hn::Mul(hn::Set(d, taps[0]), load(centre[0] + x));
+      for (int k = 1; k <= radius; ++k) sum = hn::MulAdd(hn::Set(d, taps[k]), hn::Add(load(centre[-k] + x), load(centre[k] + x)), sum);
+      store(i, sum);
+    }
   }
 }
 
-#endif
-
-// Four sums at a time run side by side; kRadius 0: any radius.
+// Calls emit(x, filtered) with whole vectors for x = block.begin, ... < block.end of a line.
 template <int kRadius, class D, class Emit>
-HWY_INLINE void FilterRowByLoads(D d, const float* HWY_RESTRICT in, const float* HWY_RESTRICT taps, int any_radius, int count,
-                                 const Emit& emit) {
-  const int radius = kRadius > 0 ? kRadius : any_radius;
-  const std::size_t lanes = hn::Lanes(d);
-  const std::size_t end = static_cast<std::size_t>(count);
-  std::size_t x = 0;
-  // A last group that is not full is computed whole.
-  for (; x + lanes < end; x += 4 * lanes) {
-    const float* p = in + x;
-    const auto centre = hn::Set(d, taps[0]);
-    auto s0 = hn::Mul(centre, hn::LoadU(d, p));
-    auto s1 = hn::Mul(centre, hn::LoadU(d, p + lanes));
-    auto s2 = hn::Mul(centre, hn::LoadU(d, p + 2 * lanes));
-    auto s3 = hn::Mul(centre, hn::LoadU(d, p + 3 * lanes));
-    for (int k = 1; k <= radius; ++k) {
-      const auto tap = hn::Set(d, taps[k]);
-      const float* left = p - k;
-      const float* right = p + k;
-      s0 = hn::MulAdd(tap, hn::Add(hn::LoadU(d, left), hn::LoadU(d, right)), s0);
-      s1 = hn::MulAdd(tap, hn::Add(hn::LoadU(d, left + lanes), hn::LoadU(d, right + lanes)), s1);
-      s2 = hn::MulAdd(tap, hn::Add(hn::LoadU(d, left + 2 * lanes), hn::LoadU(d, right + 2 * lanes)), s2);
-      s3 = hn::MulAdd(tap, hn::Add(hn::LoadU(d, left + 3 * lanes), hn::LoadU(d, right + 3 * lanes)), s3);
+HWY_INLINE void FilterRowInto(D d, const float* HWY_RESTRICT line, const FilterBlock& block, const Taps<kRadius, D>& known,
+                              const Emit& emit) {
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const int end = block.end;
+#if TREM_FILTER_SHIFTS
+  if constexpr (kRadius > 0) {
+    auto before = hn::LoadU(d, line + block.begin - lanes);
+    auto centre = hn::LoadU(d, line + block.begin);
+    for (int x = block.begin; x < end; x += lanes) {
+      const auto after = hn::LoadU(d, line + x + lanes);
+      emit(x, AddPairs<1, kRadius>(before, centre, after, known.tap, hn::Mul(known.tap[0], centre)));
+      before = centre;
+      centre = after;
     }
-    emit(x, s0);
-    emit(x + lanes, s1);
-    if (x + 2 * lanes < end) emit(x + 2 * lanes, s2);
-    if (x + 3 * lanes < end) emit(x + 3 * lanes, s3);
+    return;
   }
-  for (; x < end; x += lanes) {
-    auto sum = hn::Mul(hn::Set(d, taps[0]), hn::LoadU(d, in + x));
-    for (int k = 1; k <= radius; ++k) {
-      sum = hn::MulAdd(hn::Set(d, taps[k]), hn::Add(hn::LoadU(d, in + x - k), hn::LoadU(d, in + x + k)), sum);
+#endif
+  for (int x = block.begin; x < end; x += lanes) {
+    const float* p = line + x;
+    if constexpr (kRadius > 0) {
+      auto sum = hn::Mul(known.tap[0], hn::LoadU(d, p));
+      for (int k = 1; k <= kRadius; ++k) sum = hn::MulAdd(known.tap[k], hn::Add(hn::LoadU(d, p - k), hn::LoadU(d, p + k)), sum);
+      emit(x, sum);
+    } else {
+      auto sum = hn::Mul(hn::Set(d, block.taps[0]), hn::LoadU(d, p));
+      for (int k = 1; k <= block.radius; ++k) {
+        sum = hn::MulAdd(hn::Set(d, block.taps[k]), hn::Add(hn::LoadU(d, p - k), hn::LoadU(d, p + k)), sum);
+      }
+      emit(x, sum);
     }
-    emit(x, sum);
   }
 }
 
-// Calls emit(x, filtered) with whole vectors for x = 0, lanes, 2 * lanes, ... < count; see FilterRow for what is read of `in`.
-template <class D, class Emit>
-HWY_INLINE void FilterRowInto(D d, const float* HWY_RESTRICT in, const float* HWY_RESTRICT taps, int radius, int count, const Emit& emit) {
-  WithRadius(radius, [&](auto known) HWY_ATTR {
+// Rows row .. row + kRows - 1 of a block, down the columns into lines that stay in the first-level cache, and these along themselves.
+template <int kRows, int kRadius, class D, class RowEmit>
+HWY_INLINE void FilterGroup(D d, const FilterBlock& block, int row, const RowEmit& row_emit) {
+  const int lanes = static_cast<int>(hn::Lanes(d));
+  const int radius = kRadius > 0 ? kRadius : block.radius;
+  const Taps<kRadius, D> known(d, block.taps);
+  const float* const* rows = block.rows + row;
+  const int columns_end = block.end + radius < block.width ? block.end + radius : block.width;
+  const auto store = [&](int x) HWY_ATTR {
+    return [&block, d, x](int i, hn::Vec<D> sum) HWY_ATTR { hn::StoreU(sum, d, block.lines + i * block.stride + x); };
+  };
+  for (int column = block.first; column < columns_end; column += lanes) {
+    if (HWY_LIKELY(column + lanes <= columns_end)) {
+      FilterColumnsAt<kRows, kRadius>(
+          d, rows, known, block.taps, radius, column, [d](const float* p) HWY_ATTR { return hn::LoadU(d, p); }, store(column));
+    } else {
+      const std::size_t rest = static_cast<std::size_t>(columns_end - column);
+      FilterColumnsAt<kRows, kRadius>(
+          d, rows, known, block.taps, radius, column, [d, rest](const float* p) HWY_ATTR { return LoadUpTo(d, p, rest); }, store(column));
+    }
+  }
+  for (int i = 0; i < kRows; ++i) {
+    float* const line = block.lines + i * block.stride;
+    ReflectRow(line, block.begin - radius, block.end + radius, block.width);
+    FilterRowInto<kRadius>(d, line, block, known, row_emit(row + i));
+  }
+}
+
+// For every row i of the block, with emit = row_emit(i): calls emit(x, filtered) with whole vectors for x = begin, begin + lanes, ... <
+// end.
+template <class D, class RowEmit>
+HWY_INLINE void FilterBlockInto(D d, const FilterBlock& block, const RowEmit& row_emit) {
+  static_assert(kRowsTogether <= kFilterLines);
+  WithRadius(block.radius, [&](auto known) HWY_ATTR {
     constexpr int kRadius = decltype(known)::value;
-#if TREM_FILTER_SHIFTS
-    if constexpr (kRadius > 0) return FilterRowOfRadius<kRadius>(d, in, taps, count, emit);
-#endif
-    FilterRowByLoads<kRadius>(d, in, taps, radius, count, emit);
+    int row = 0;
+    for (; row + kRowsTogether <= block.row_count; row += kRowsTogether) FilterGroup<kRowsTogether, kRadius>(d, block, row, row_emit);
+    for (; row < block.row_count; ++row) FilterGroup<1, kRadius>(d, block, row, row_emit);
   });
 }
 

@@ -11,43 +11,24 @@
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 
-// Rows that are filtered together: of their 2 * radius + kRowsTogether rows of input each vector is loaded once, into registers.
-constexpr int kRowsTogether = HWY_TARGET <= HWY_AVX3 ? 4 : 2;
-
 // Columns [begin, end) of kRows rows. kRadius 0: any radius.
 template <int kRows, int kRadius>
-HWY_INLINE void FilterColumnsBetween(const float* const* rows, const float* HWY_RESTRICT taps, int any_radius, std::size_t begin,
+HWY_INLINE void FilterColumnsBetween(const float* const* rows, const float* HWY_RESTRICT taps, int radius, std::size_t begin,
                                      std::size_t end, float* HWY_RESTRICT out, std::ptrdiff_t stride) {
   const hn::ScalableTag<float> d;
   using V = hn::Vec<decltype(d)>;
-  const int radius = kRadius > 0 ? kRadius : any_radius;
-  const auto filter = [&](std::size_t x, const auto& load, const auto& store) HWY_ATTR {
-    if constexpr (kRadius > 0) {
-      V in[2 * kRadius + kRows];
-      for (int j = 0; j < 2 * kRadius + kRows; ++j) in[j] = load(rows[j] + x);
-      for (int i = 0; i < kRows; ++i) {
-        V sum = hn::Mul(hn::Set(d, taps[0]), in[i + kRadius]);
-        for (int k = 1; k <= kRadius; ++k) sum = hn::MulAdd(hn::Set(d, taps[k]), hn::Add(in[i + kRadius - k], in[i + kRadius + k]), sum);
-        store(sum, out + i * stride + static_cast<std::ptrdiff_t>(x));
-      }
-    } else {
-      for (int i = 0; i < kRows; ++i) {
-        const float* const* centre = rows + i + radius;
-        V sum = hn::Mul(hn::Set(d, taps[0]), load(centre[0] + x));
-        for (int k = 1; k <= radius; ++k) sum = hn::MulAdd(hn::Set(d, taps[k]), hn::Add(load(centre[-k] + x), load(centre[k] + x)), sum);
-        store(sum, out + i * stride + static_cast<std::ptrdiff_t>(x));
-      }
-    }
-  };
+  const Taps<kRadius, hn::ScalableTag<float>> known(d, taps);
   const std::size_t lanes = hn::Lanes(d);
   std::size_t x = begin;
   for (; x + lanes <= end; x += lanes) {
-    filter(
-        x, [&](const float* p) HWY_ATTR { return hn::LoadU(d, p); }, [&](V v, float* p) HWY_ATTR { hn::StoreU(v, d, p); });
+    FilterColumnsAt<kRows, kRadius>(
+        d, rows, known, taps, radius, static_cast<std::ptrdiff_t>(x), [d](const float* p) HWY_ATTR { return hn::LoadU(d, p); },
+        [&](int i, V v) HWY_ATTR { hn::StoreU(v, d, out + i * stride + static_cast<std::ptrdiff_t>(x)); });
   }
   if (x == end) return;
-  filter(
-      x, [&](const float* p) HWY_ATTR { return LoadUpTo(d, p, end - x); }, [&](V v, float* p) HWY_ATTR { StoreUpTo(d, v, p, end - x); });
+  FilterColumnsAt<kRows, kRadius>(
+      d, rows, known, taps, radius, static_cast<std::ptrdiff_t>(x), [&](const float* p) HWY_ATTR { return LoadUpTo(d, p, end - x); },
+      [&](int i, V v) HWY_ATTR { StoreUpTo(d, v, out + i * stride + static_cast<std::ptrdiff_t>(x), end - x); });
 }
 
 void FilterColumnBlockTarget(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out,
@@ -68,10 +49,12 @@ void FilterColumnBlockTarget(const float* const* rows, const float* taps, int ra
   });
 }
 
-void FilterRowTarget(const float* in, const float* taps, int radius, int count, float* out) {
+void FilterRowsTarget(const FilterBlock& block, float* const* out) {
   const hn::ScalableTag<float> d;
-  FilterRowInto(d, in, taps, radius, count,
-                [&](std::size_t x, auto sum) HWY_ATTR { StoreUpTo(d, sum, out + x, static_cast<std::size_t>(count) - x); });
+  using V = hn::Vec<decltype(d)>;
+  FilterBlockInto(d, block, [&](int i) HWY_ATTR {
+    return [d, to = out[i], end = block.end](int x, V sum) HWY_ATTR { StoreUpTo(d, sum, to + x, static_cast<std::size_t>(end - x)); };
+  });
 }
 
 }  // namespace trem::HWY_NAMESPACE
@@ -81,7 +64,7 @@ HWY_AFTER_NAMESPACE();
 namespace trem {
 
 HWY_EXPORT(FilterColumnBlockTarget);
-HWY_EXPORT(FilterRowTarget);
+HWY_EXPORT(FilterRowsTarget);
 
 void FilterColumns(const float* const* rows, const float* taps, int radius, int count, float* out) {
   FilterColumnBlock(rows, taps, radius, 1, count, out, 0);
@@ -92,9 +75,7 @@ void FilterColumnBlock(const float* const* rows, const float* taps, int radius, 
   HWY_DYNAMIC_DISPATCH(FilterColumnBlockTarget)(rows, taps, radius, row_count, count, out, stride);
 }
 
-void FilterRow(const float* in, const float* taps, int radius, int count, float* out) {
-  HWY_DYNAMIC_DISPATCH(FilterRowTarget)(in, taps, radius, count, out);
-}
+void FilterRows(const FilterBlock& block, float* const* out) { HWY_DYNAMIC_DISPATCH(FilterRowsTarget)(block, out); }
 
 }  // namespace trem
 #endif  // HWY_ONCE

@@ -23,8 +23,24 @@ void FilterColumns(const float* const* rows, const float* taps, int radius, int 
 void FilterColumnBlock(const float* const* rows, const float* taps, int radius, int row_count, int count, float* out,
                        std::ptrdiff_t stride);
 
-// Along a row: out[x] from in[x - radius .. x + radius], for x in [0, count). `in` may be read up to in[count + radius + kRowSlack - 1];
-// nothing is written outside [0, count). `out` does not overlap `in`.
-void FilterRow(const float* in, const float* taps, int radius, int count, float* out);
+// Some rows of an image to be filtered both ways: down their columns into scratch lines, and these along themselves. All pointers are to
+// column 0 of the image, wherever a row that is held begins. Beyond the image's columns the lines are continued by reflection.
+struct FilterBlock {
+  const float* const* rows = nullptr;  // rows[i .. i + 2 * radius] make row i of the block; row pointers may repeat.
+  int row_count = 0;
+  const float* taps = nullptr;
+  int radius = 0;
+  int begin = 0;  // Columns that are wanted; whole vectors are made from here on.
+  int end = 0;
+  int width = 0;  // Of the image. Columns [first, min(end + radius, width)) of the rows are read.
+  int first = 0;  // At most max(begin - radius, 0).
+  // kFilterLines lines of scratch memory; written from min(first, begin - radius) to end + radius + kRowSlack, read from begin - kRowSlack.
+  float* lines = nullptr;
+  std::ptrdiff_t stride = 0;
+};
+inline constexpr int kFilterLines = 4;
+
+// out[i][x] for x in [begin, end), out[i] to column 0; writes nothing else. `out` does not overlap the input.
+void FilterRows(const FilterBlock& block, float* const* out);
 
 }  // namespace trem

@@ -68,16 +68,38 @@ Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
   return {sum.size / (2.0 * sum.count), std::sqrt(sum.squares / (2.0 * sum.count)), std::max(sum.seen / sum.count, 1.0)};
 }
 
-Image<float> Cropped(const Image<float>& image, const Roi& roi) {
-  Image<float> crop(roi.width(), roi.height());
-  for (int y = 0; y < roi.height(); ++y) std::copy(image.row(roi.y0 + y) + roi.x0, image.row(roi.y0 + y) + roi.x1, crop.row(y));
-  return crop;
+// The pixels of `roi` (0, 0 its corner) that may fall on `cells`: all of them for views that are not affine.
+Roi PixelsOver(const Roi& cells, const PlanarMap& scene_from_sensor, const Roi& roi) {
+  const Roi whole{0, 0, roi.width(), roi.height()};
+  if (!scene_from_sensor.IsAffine()) return whole;
+  const PlanarMap sensor_from_scene = scene_from_sensor.Inverse();
+  Eigen::Vector2d low = Eigen::Vector2d::Constant(1e9);
+  Eigen::Vector2d high = -low;
+  for (const int x : {cells.x0, cells.x1}) {
+    for (const int y : {cells.y0, cells.y1}) {
+      const Eigen::Vector2d pixel = sensor_from_scene * Eigen::Vector2d(x, y);
+      low = low.cwiseMin(pixel).cwiseMax(-1e9);
+      high = high.cwiseMax(pixel).cwiseMin(1e9);
+    }
+  }
+  const auto floor = [](double at) { return static_cast<int>(std::floor(at)); };
+  return Intersect(whole, {floor(low.x()) - roi.x0, floor(low.y()) - roi.y0, floor(high.x()) - roi.x0 + 2, floor(high.y()) - roi.y0 + 2});
+}
+
+void Crop(const Image<float>& image, const Roi& roi, Image<float>* crop) {
+  if (crop->width() != roi.width() || crop->height() != roi.height()) *crop = Image<float>(roi.width(), roi.height());
+  for (int y = 0; y < roi.height(); ++y) std::copy(image.row(roi.y0 + y) + roi.x0, image.row(roi.y0 + y) + roi.x1, crop->row(y));
 }
 
 }  // namespace
 
 AutomaticRegularisation::AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn, int threads)
-    : psf_(psf), kind_(kind), ratio_(ratio), learn_(learn), threads_(threads), information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
+    : kind_(kind),
+      ratio_(ratio),
+      learn_(learn),
+      threads_(threads),
+      trials_{Trial(psf), Trial(psf)},
+      information_(1.0 / (kLogFactorSigma * kLogFactorSigma)) {}
 
 StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBuffer& buffer, double noise_sigma) const {
   const Texture texture = TextureOf(buffer.InBuffer(region), buffer);
@@ -92,13 +114,19 @@ StructureWeight AutomaticRegularisation::Weight(const Roi& region, const SceneBu
   return weight;
 }
 
-Image<float> AutomaticRegularisation::Predicted(const SceneBuffer& tile, const Roi& inner, StructureWeight weight) const {
-  InformationOptions options;
-  options.prior = {kind_, weight.delta};
-  InformationUpdate update(Blur(psf_), options);
-  SceneBuffer copy = tile;
-  update.Iterate(inner, kProbeIterations, weight.lambda, &copy);
-  return std::move(copy.prediction);
+void AutomaticRegularisation::Trial::Run(const SceneBuffer& buffer, const Roi& inner, const Roi& extent, const StructurePrior& prior,
+                                         float lambda) {
+  const Roi crop = buffer.InBuffer(extent);
+  tile.extent = extent;
+  Crop(buffer.scene, crop, &tile.scene);
+  tile.previous = tile.scene;
+  Crop(buffer.weight, crop, &tile.weight);
+  Crop(buffer.weighted, crop, &tile.weighted);
+  Crop(buffer.majoriser, crop, &tile.majoriser);
+  if (tile.prediction.width() != crop.width() || tile.prediction.height() != crop.height()) tile.prediction = tile.scene;
+  update.set_prior(prior);
+  update.Restart();
+  update.Iterate(inner, kProbeIterations, lambda, &tile);
 }
 
 void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& buffer, double noise_sigma) {
@@ -108,7 +136,7 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
   // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over
   // what the ROI will see again.
-  const int rim = psf_.radius() + 3 * ratio_;
+  const int rim = radius() + 3 * ratio_;
   const int reach = std::min(region.width(), region.height());
   const int side = std::clamp(turn < kProbesDense ? reach / 2 : reach / 3, 10 * ratio_, 64 * ratio_);
   const int room_x = region.width() - 2 * rim - side;
@@ -118,22 +146,14 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   const int x0 = region.x0 + rim + static_cast<int>(fraction(0.7548776662) * room_x);
   const int y0 = region.y0 + rim + static_cast<int>(fraction(0.5698402910) * room_y);
   const Roi inner{x0, y0, x0 + side, y0 + side};
-  const int margin = 2 * psf_.radius() + 2;
+  const int margin = 2 * radius() + 2;
   const Roi extent = Intersect({inner.x0 - margin, inner.y0 - margin, inner.x1 + margin, inner.y1 + margin}, buffer.extent);
   if (!extent.Contains(inner)) return;
-  const Roi crop = buffer.InBuffer(extent);
-  SceneBuffer tile(extent);
-  tile.scene = Cropped(buffer.scene, crop);
-  tile.previous = tile.scene;
-  tile.weight = Cropped(buffer.weight, crop);
-  tile.weighted = Cropped(buffer.weighted, crop);
-  tile.majoriser = Cropped(buffer.majoriser, crop);
   const StructureWeight middle = Weight(region, buffer, noise_sigma);
-  Probe probe{inner, extent, {}, {}};
   ForEachIndex(threads_, 2, [&](int which, int) {
-    (which == 0 ? probe.less : probe.more) = Predicted(tile, inner, {(which == 0 ? 0.5F : 2.0F) * middle.lambda, middle.delta});
+    trials_[static_cast<std::size_t>(which)].Run(buffer, inner, extent, {kind_, middle.delta}, (which == 0 ? 0.5F : 2.0F) * middle.lambda);
   });
-  probe_ = std::move(probe);
+  probe_ = Probe{inner, extent};
 }
 
 void AutomaticRegularisation::Learn(const Observation& observation, const View& view) {
@@ -145,8 +165,9 @@ void AutomaticRegularisation::Learn(const Observation& observation, const View& 
   const Roi held{probe.inner.x0 + 2, probe.inner.y0 + 2, probe.inner.x1 - 2, probe.inner.y1 - 2};
   double score = 0.0;
   double curvature = 0.0;
-  for (int v = 0; v < observation.roi.height(); ++v) {
-    for (int u = 0; u < observation.roi.width(); ++u) {
+  const Roi pixels = PixelsOver(held, view.scene_from_sensor, observation.roi);
+  for (int v = pixels.y0; v < pixels.y1; ++v) {
+    for (int u = pixels.x0; u < pixels.x1; ++u) {
       const float value = observation.roi_pixels->at(u, v);
       const float trust = observation.weight(u, v);
       if (std::isnan(value) || !(trust > 0.0F)) continue;
@@ -154,8 +175,8 @@ void AutomaticRegularisation::Learn(const Observation& observation, const View& 
       if (!(cell.x() >= held.x0 && cell.x() < held.x1 && cell.y() >= held.y0 && cell.y() < held.y1)) continue;
       const double x = cell.x() - probe.extent.x0;
       const double y = cell.y() - probe.extent.y0;
-      const double less = SampleCubic(probe.less, x, y);
-      const double more = SampleCubic(probe.more, x, y);
+      const double less = SampleCubic(trials_[0].tile.prediction, x, y);
+      const double more = SampleCubic(trials_[1].tile.prediction, x, y);
       const double slope = gain * (more - less) / (2.0 * std::numbers::ln2);
       const double residual = std::clamp(value - view.offset - gain * 0.5 * (more + less), -limit, limit);
       score += trust * residual * slope;

@@ -1,10 +1,12 @@
 #pragma once
 
+#include <array>
 #include <optional>
 
 #include "worker/registration/target.h"
 #include "worker/registration/view.h"
 #include "worker/sensor/psf.h"
+#include "worker/tre/information_update.h"
 #include "worker/tre/scene_buffer.h"
 #include "worker/tre/structure_prior.h"
 
@@ -53,19 +55,26 @@ class AutomaticRegularisation {
 
  private:
   struct Probe {
-    Roi inner;          // Of the scene plane: where both predictions hold.
-    Roi extent;         // Of the two images.
-    Image<float> less;  // B S under half the weight.
-    Image<float> more;  // Under twice the weight.
+    Roi inner;   // Of the scene plane: where both predictions hold.
+    Roi extent;  // Of the trials' images.
+  };
+  // The tile under one weight. Keeps its memory from probe to probe.
+  struct Trial {
+    explicit Trial(const SeparablePsf& psf) : update(Blur(psf), {}), tile(Roi{}) {}
+    // Iterates `inner` from the present scene of `extent`; the prediction is left in tile.prediction.
+    void Run(const SceneBuffer& buffer, const Roi& inner, const Roi& extent, const StructurePrior& prior, float lambda);
+
+    InformationUpdate update;
+    SceneBuffer tile;
   };
 
-  Image<float> Predicted(const SceneBuffer& tile, const Roi& inner, StructureWeight weight) const;
+  int radius() const { return trials_[0].update.psf().radius(); }
 
-  SeparablePsf psf_;
   StructurePriorKind kind_;
   int ratio_;
   bool learn_;
   int threads_;
+  std::array<Trial, 2> trials_;  // Half the weight, twice the weight.
   std::optional<Probe> probe_;
   double log_factor_ = 0.0;
   double information_;

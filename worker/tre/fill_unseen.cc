@@ -15,6 +15,49 @@ constexpr int kGroup = 16;
 // A frame's pixels measure cells up to so far beyond their border [sensor px].
 constexpr double kReach = 1.5;
 
+// Rectangles about cells that come in row by row.
+class Cover {
+ public:
+  // Cells [begin, end) of row y, not above any that came before.
+  void Add(int y, int begin, int end) {
+    if (begin >= end) return;
+    const Part run{{begin, y, end, y + 1}, end - begin};
+    Part* best = nullptr;
+    long long least = 0;
+    for (Part& part : parts_) {
+      const long long waste = Union(part.roi, run.roi).area() - part.roi.area();
+      // Rather a rectangle of its own than one that is mostly made of other cells.
+      const bool sparse = Union(part.roi, run.roi).area() > 2 * (part.cells + run.cells) + kSpare;
+      if ((!sparse || parts_.size() >= kPartsMax) && (best == nullptr || waste < least)) {
+        best = &part;
+        least = waste;
+      }
+    }
+    if (best == nullptr) {
+      parts_.push_back(run);
+    } else {
+      best->roi = Union(best->roi, run.roi);
+      best->cells += run.cells;
+    }
+  }
+
+  std::vector<Roi> rois() const {
+    std::vector<Roi> rois;
+    for (const Part& part : parts_) rois.push_back(part.roi);
+    return rois;
+  }
+
+ private:
+  static constexpr std::size_t kPartsMax = 12;
+  static constexpr long long kSpare = 64;
+  struct Part {
+    Roi roi;
+    long long cells = 0;
+  };
+
+  std::vector<Part> parts_;
+};
+
 class Filler {
  public:
   Filler(const FrameInput& frame, const Roi& roi, const View& view, SceneBuffer* buffer, Image<float>* continued)
@@ -36,15 +79,11 @@ class Filler {
       x = std::min(first + kGroup, end);
       int last = x;
       while (last > first && filled[last - 1] == SceneBuffer::kMeasured) --last;
-      if (first < last && !Continued(filled, first, last, y)) {
-        for (int cell = first; cell < last; ++cell) {
-          if (filled[cell] != SceneBuffer::kMeasured) FillCell(cell, y);
-        }
-      }
+      if (first < last && !Continued(filled, first, last, y)) FillGroup(first, last, y);
     }
   }
 
-  Roi changed() const { return changed_; }
+  std::vector<Roi> changed() const { return changed_.rois(); }
 
  private:
   // Where a cell lies in the frame, and how far beyond its border: negative on the left and above.
@@ -77,23 +116,33 @@ class Filler {
            std::min(a.beyond_v, b.beyond_v) > kReach || std::max(a.beyond_v, b.beyond_v) < -kReach;
   }
 
-  void FillCell(int x, int y) {
+  void FillGroup(int first, int last, int y) {
+    int begin = last;
+    int end = first;
+    for (int x = first; x < last; ++x) {
+      if (buffer_.filled.at(x, y) == SceneBuffer::kMeasured || !FillCell(x, y)) continue;
+      begin = std::min(begin, x);
+      end = x + 1;
+    }
+    changed_.Add(y, begin, end);
+  }
+
+  // Whether the cell's value has changed.
+  bool FillCell(int x, int y) {
     const Place place = PlaceOf(x, y);
     bool inside = place.inside();
-    if (!inside && buffer_.filled.at(x, y) == SceneBuffer::kContinued) return;
+    if (!inside && buffer_.filled.at(x, y) == SceneBuffer::kContinued) return false;
     Prepare();
     if (holes_) inside = inside && !std::isnan(frame_.pixels.at(static_cast<int>(place.u + 0.5), static_cast<int>(place.v + 0.5)));
     const float source = inside ? SceneBuffer::kMeasured : SceneBuffer::kContinued;
-    if (buffer_.filled.at(x, y) == source) return;
+    if (buffer_.filled.at(x, y) == source) return false;
     const float sample = SampleCubic(continued_, place.u, place.v);
-    if (std::isnan(sample)) return;
+    if (std::isnan(sample)) return false;
     buffer_.filled.at(x, y) = source;
     const float value = (sample - static_cast<float>(view_.offset)) / static_cast<float>(view_.gain);
     buffer_.scene.at(x, y) = value;
     buffer_.previous.at(x, y) = value;
-    changed_ = changed_.empty()
-                   ? Roi{x, y, x + 1, y + 1}
-                   : Roi{std::min(changed_.x0, x), std::min(changed_.y0, y), std::max(changed_.x1, x + 1), std::max(changed_.y1, y + 1)};
+    return true;
   }
 
   // Most frames of a scene show nothing new.
@@ -114,12 +163,13 @@ class Filler {
   double y_max_ = 0.0;
   bool prepared_ = false;
   bool holes_ = false;
-  Roi changed_{0, 0, 0, 0};
+  Cover changed_;
 };
 
 }  // namespace
 
-Roi FillUnseen(const FrameInput& frame, const Roi& roi, const View& view, const Roi& region, SceneBuffer* buffer, Image<float>* continued) {
+std::vector<Roi> FillUnseen(const FrameInput& frame, const Roi& roi, const View& view, const Roi& region, SceneBuffer* buffer,
+                            Image<float>* continued) {
   const Roi inner = buffer->InBuffer(region);
   Filler filler(frame, roi, view, buffer, continued);
   for (int y = inner.y0; y < inner.y1; ++y) filler.FillRow(y, inner.x0, inner.x1);

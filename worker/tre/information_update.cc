@@ -29,7 +29,7 @@ constexpr float kCurvatureMin = 1e-6F;
 
 // Rows that are judged or predicted at a time, and that are splatted.
 constexpr int kBandRows = 32;
-constexpr int kSplatRows = 128;
+constexpr int kSplatRows = 32;
 
 // Rows of which the columns are filtered at a time.
 constexpr int kSeenBlock = 16;

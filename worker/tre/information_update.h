@@ -44,6 +44,8 @@ class InformationUpdate {
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // As Iterate, momentum begun anew and growing without a bound (FISTA's): for many steps on samples that no longer change.
   void Converge(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
+  // The steps that follow gain momentum from the start, as a new object's.
+  void Restart() { steps_ = 0; }
   // buffer->prediction = B S on `region`.
   void Predict(const Roi& region, SceneBuffer* buffer);
   // Replaces the structure prior of the steps that follow.

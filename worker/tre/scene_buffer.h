@@ -1,5 +1,7 @@
 #pragma once
 
+#include <algorithm>
+
 #include "mosaic/base/image.h"
 #include "mosaic/geometry/roi.h"
 
@@ -8,14 +10,14 @@ namespace trem {
 // The part of a segment's scene plane that is in memory: all images have the same size and cover `extent` [cells of the scene plane].
 struct SceneBuffer {
   Roi extent;
-  Image<float> scene;        // S, internal grey levels.
-  Image<float> previous;     // S before the last iteration (Nesterov's momentum).
-  Image<float> weight;       // W: accumulated weight of the samples splatted to each cell, 1 a sample of unit gain.
-  Image<float> weighted;     // Z: accumulated weight * value.
-  Image<float> prediction;   // B S.
-  Image<float> filled;       // Where the scene's first value came from: one of the constants below.
-  Image<float> majoriser;    // B W: the data term's curvature bound (see InformationUpdate).
-  Image<float> seen;         // Weight of the samples within a sensor pixel: about how many frames have seen each cell; 0: none.
+  Image<float> scene;       // S, internal grey levels.
+  Image<float> previous;    // S before the last iteration (Nesterov's momentum).
+  Image<float> weight;      // W: accumulated weight of the samples splatted to each cell, 1 a sample of unit gain.
+  Image<float> weighted;    // Z: accumulated weight * value.
+  Image<float> prediction;  // B S.
+  Image<float> filled;      // Where the scene's first value came from: one of the constants below.
+  Image<float> majoriser;   // B W: the data term's curvature bound (see InformationUpdate).
+  Image<float> seen;        // Weight of the samples within a sensor pixel: about how many frames have seen each cell; 0: none.
 
   static constexpr float kNotFilled = 0.0F;
   static constexpr float kContinued = 1.0F;  // A frame's border value, continued beyond its ROI.
@@ -27,5 +29,10 @@ struct SceneBuffer {
   // `region` of the scene plane in buffer coordinates, clipped to the buffer.
   Roi InBuffer(const Roi& region_in_scene) const;
 };
+
+// The smallest rectangle that holds both.
+inline Roi Union(const Roi& a, const Roi& b) {
+  return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)};
+}
 
 }  // namespace trem

@@ -2,6 +2,7 @@
 
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -82,9 +83,9 @@ Roi RoundedOut(const Roi& roi, int step) {
   return {down(roi.x0), down(roi.y0), down(roi.x1 + step - 1), down(roi.y1 + step - 1)};
 }
 
-Roi Union(const Roi& a, const Roi& b) { return {std::min(a.x0, b.x0), std::min(a.y0, b.y0), std::max(a.x1, b.x1), std::max(a.y1, b.y1)}; }
-
-bool Overlap(const Roi& a, const Roi& b) { return !Intersect(a, b).empty(); }
+bool Overlap(const Roi& a, const std::vector<Roi>& parts) {
+  return std::any_of(parts.begin(), parts.end(), [&a](const Roi& part) { return !Intersect(a, part).empty(); });
+}
 
 // `now` without `before`, in rectangles that do not overlap.
 std::vector<Roi> Difference(const Roi& now, const Roi& before) {
@@ -98,15 +99,27 @@ std::vector<Roi> Difference(const Roi& now, const Roi& before) {
   return rest;
 }
 
-// The strips of `now` that `before` did not hold, each at least 24 cells wide so that it holds the PSF's support.
-std::vector<Roi> NewGround(const Roi& before, const Roi& now) {
+// What of `now` lies beyond one side of `before`.
+struct Advance {
+  int cells = 0;
+  Roi strip;  // That side of `now`, wide enough to hold the PSF's support.
+};
+
+// Left, right, top, bottom.
+std::array<Advance, 4> NewGround(const Roi& before, const Roi& now) {
   constexpr int kWidthMin = 24;
-  std::vector<Roi> strips;
-  if (now.x0 < before.x0) strips.push_back({now.x0, now.y0, std::min(std::max(before.x0, now.x0 + kWidthMin), now.x1), now.y1});
-  if (now.x1 > before.x1) strips.push_back({std::max(std::min(before.x1, now.x1 - kWidthMin), now.x0), now.y0, now.x1, now.y1});
-  if (now.y0 < before.y0) strips.push_back({now.x0, now.y0, now.x1, std::min(std::max(before.y0, now.y0 + kWidthMin), now.y1)});
-  if (now.y1 > before.y1) strips.push_back({now.x0, std::max(std::min(before.y1, now.y1 - kWidthMin), now.y0), now.x1, now.y1});
-  return strips;
+  const auto width = [&](int cells, int size) { return std::min(std::max(cells, kWidthMin), size); };
+  std::array<Advance, 4> sides;
+  sides[0].cells = std::max(before.x0 - now.x0, 0);
+  sides[1].cells = std::max(now.x1 - before.x1, 0);
+  sides[2].cells = std::max(before.y0 - now.y0, 0);
+  sides[3].cells = std::max(now.y1 - before.y1, 0);
+  for (Advance& side : sides) side.strip = now;
+  sides[0].strip.x1 = now.x0 + width(sides[0].cells, now.width());
+  sides[1].strip.x0 = now.x1 - width(sides[1].cells, now.width());
+  sides[2].strip.y1 = now.y0 + width(sides[2].cells, now.height());
+  sides[3].strip.y0 = now.y1 - width(sides[3].cells, now.height());
+  return sides;
 }
 
 // Registers a frame whose brightness may have jumped from the prior's.
@@ -238,22 +251,35 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
   return &weights_;
 }
 
-Roi Segment::FillNew(const FrameInput& frame, const View& view, const Roi& region) {
-  const Roi in_buffer = FillUnseen(frame, RoiOf(frame), view, region, &buffer_, &continued_);
-  const Roi& e = buffer_.extent;
-  const Roi filled = {in_buffer.x0 + e.x0, in_buffer.y0 + e.y0, in_buffer.x1 + e.x0, in_buffer.y1 + e.y0};
+std::vector<Roi> Segment::FillNew(const FrameInput& frame, const View& view, const Roi& region) {
+  std::vector<Roi> filled = FillUnseen(frame, RoiOf(frame), view, region, &buffer_, &continued_);
   // The last iteration left the prediction of what it moved; around it the scene's blur has changed, too.
   for (const Roi& part : Difference(region, last_region_)) update_.Predict(part, &buffer_);
-  if (in_buffer.empty()) return {};
-  const int reach = margin_;
-  update_.Predict(Intersect(region, {filled.x0 - reach, filled.y0 - reach, filled.x1 + reach, filled.y1 + reach}), &buffer_);
+  const Roi& e = buffer_.extent;
+  const int reach = update_.psf().radius();
+  for (Roi& part : filled) {
+    part = {part.x0 + e.x0, part.y0 + e.y0, part.x1 + e.x0, part.y1 + e.y0};
+    update_.Predict(Intersect(region, {part.x0 - reach, part.y0 - reach, part.x1 + reach, part.y1 + reach}), &buffer_);
+  }
   return filled;
+}
+
+void Segment::IterateNewGround(const Roi& region, const std::vector<Roi>& filled, StructureWeight weight) {
+  const std::array<Advance, 4> sides = NewGround(last_region_, region);
+  for (std::size_t k = 0; k < sides.size(); ++k) {
+    if (sides[k].cells == 0 || !Overlap(sides[k].strip, filled)) continue;
+    fresh_cells_[k] += sides[k].cells;
+    // Frames that are kept make the picture anew in the end: a line of cells, on which there may be no sample yet, is left to later ones.
+    if (kept_ && fresh_cells_[k] < options_.ratio) continue;
+    fresh_cells_[k] = 0;
+    Iterate(sides[k].strip, kNewGroundIterations, weight);
+  }
 }
 
 void Segment::Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations) {
   const Roi region = RegionOf(view);
   regularisation_.Learn(observation, view);
-  const Roi filled = FillNew(frame, view, region);
+  const std::vector<Roi> filled = FillNew(frame, view, region);
   update_.set_forgetting(Forgetting());
   update_.AddFrame(observation, view, region, &buffer_);
   if (kept_) {
@@ -264,11 +290,7 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
   if (scheme_ != nullptr) scheme_->AddFrame(frame.frame_index, observation, view);
   update_.UpdateSeen(region, options_.ratio, &buffer_);
   const StructureWeight weight = regularisation_.Weight(region, buffer_, observation.noise_sigma);
-  if (frame_count_ > 0) {
-    for (const Roi& strip : NewGround(last_region_, region)) {
-      if (Overlap(strip, filled)) Iterate(strip, kNewGroundIterations, weight);
-    }
-  }
+  if (frame_count_ > 0) IterateNewGround(region, filled, weight);
   Iterate(region, iterations, weight);
   // The first frame is fitted by a scene of its own.
   if (options_.uncertainty && frame_count_ > 0) {

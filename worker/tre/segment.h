@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -97,9 +98,11 @@ class Segment {
   void Revisit(double noise_sigma);
   // Frames that must have seen a cell for frames to be registered to it.
   float SeenMin() const;
-  // Gives cells of `region` that no frame has measured yet their first value and makes the prediction on `region`; the rectangle that holds
-  // these cells (empty: none).
-  Roi FillNew(const FrameInput& frame, const View& view, const Roi& region);
+  // Gives cells of `region` that no frame has measured yet their first value and makes the prediction on `region`; rectangles that hold
+  // these cells.
+  std::vector<Roi> FillNew(const FrameInput& frame, const View& view, const Roi& region);
+  // Further steps on the sides of `region` by which it has grown beyond the last one by a sensor pixel since they were last taken there.
+  void IterateNewGround(const Roi& region, const std::vector<Roi>& filled, StructureWeight weight);
   void Update(const FrameInput& frame, const Observation& observation, const View& view, int iterations);
   // Judges what the frame leaves of the prediction; the frame's weights without what moves (null: all 1), and ground that showed a mover
   // is made free to be made anew.
@@ -142,7 +145,8 @@ class Segment {
   Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();   // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.
   std::vector<ChainEntry> revised_;
-  Roi last_region_;  // Footprint of the last frame: where the prediction is that of the present scene.
+  Roi last_region_;                      // Footprint of the last frame: where the prediction is that of the present scene.
+  std::array<int, 4> fresh_cells_ = {};  // By which each side (left, right, top, bottom) came in and was not iterated for itself yet.
   int frame_count_ = 0;
   int skipped_ = 0;
   FrameResidual residual_;

@@ -14,175 +14,182 @@
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 
-#if HWY_TARGET == HWY_SCALAR
-
-// For processors without vectors of four floats: one pixel after the other.
-void SplatTarget(const SplatRow& row, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes) {
-  for (int u = row.begin; u < row.end; ++u) {
-    const double depth = row.depth + u * row.d_depth;
-    if (!(depth > 0.0)) continue;
-    const double x = (row.x + u * row.dx) / depth;
-    const double y = (row.y + u * row.dy) / depth;
-    const float trust = row.weights != nullptr ? row.weights[u] : 1.0F;
-    if (std::isnan(row.pixels[u]) || !(trust > 0.0F) || !CubicSupported(*planes.prediction, x, y)) continue;
-    const int cx = static_cast<int>(x + 0.5);
-    const int cy = static_cast<int>(y + 0.5);
-    if (cy < row_begin || cy >= row_end) continue;
-    const float difference = (row.pixels[u] - model.offset) / model.gain - SampleCubic(*planes.prediction, x, y);
-    const float size = std::abs(model.gain * difference);
-    const float robust = planes.seen->at(cx, cy) >= 1.5F && size > model.limit ? model.limit / size : 1.0F;
-    const float weight = trust * robust * model.gain * model.gain;
-    planes.weight->at(cx, cy) += weight;
-    planes.weighted->at(cx, cy) += weight * (difference + planes.prediction->at(cx, cy));
-  }
-}
-
-#else
-
-constexpr std::size_t kPixels = 4;
-using D4 = hn::FixedTag<float, kPixels>;
-using V4 = hn::Vec<D4>;
-
-// Whole cells and the fraction beyond them, per pixel.
-struct Places {
-  HWY_ALIGN float whole[kPixels];
-  V4 fraction;
-};
+// Pixels that are taken together, and of them those whose places are relative to one whole cell.
+constexpr int kChunk = 64;
+constexpr int kGroup = 16;
+using Lanes = hn::CappedTag<float, kGroup>;
+using V = hn::Vec<Lanes>;
 
 // Places are clamped to this; beyond any buffer and within an int.
 constexpr double kFar = 1e6;
 
-// Places of the four pixels from `u` on, relative to the whole cell that is returned: that of the first, split off in double precision, so
-// that the fraction is as good as a float can be however large the buffer is.
-HWY_INLINE int Locate(const SplatRow& row, int u, double start, double step, Places* places) {
-  const D4 d;
+// A chunk of a row's pixels, one pass after the other: what is a vector operation is done for many pixels at once.
+struct Chunk {
+  HWY_ALIGN float x_fraction[kChunk];
+  HWY_ALIGN float y_weights[4 * kChunk];  // 4 a pixel.
+  HWY_ALIGN float columns[4 * kChunk];    // 4 a pixel: columns of the support combined along y.
+  HWY_ALIGN int first[kChunk];            // Index of the support's first cell; of some cell where the pixel is not used.
+  HWY_ALIGN int cell[kChunk];             // Of the nearest cell; -1: not used.
+  HWY_ALIGN float centre[kChunk];         // Prediction there.
+  HWY_ALIGN float seen[kChunk];
+  HWY_ALIGN float weight[kChunk];
+  HWY_ALIGN float weighted[kChunk];
+};
+
+// Places of the pixels of the group at `u`, relative to the whole cell that is returned: that of the first, split off in double precision,
+// so that the fraction is as good as a float can be however large the buffer is.
+HWY_INLINE int Locate(const SplatRow& row, int u, double start, double step, float* local) {
+  const Lanes d;
   double at = start + u * step;
-  V4 local;
   double base;
   if (row.d_depth == 0.0) {
     at /= row.depth;
     base = std::floor(std::clamp(at, -kFar, kFar));
-    local = hn::MulAdd(hn::Set(d, static_cast<float>(step / row.depth)), hn::Iota(d, 0.0F), hn::Set(d, static_cast<float>(at - base)));
-  } else {
-    double places_of[kPixels];
-    for (std::size_t i = 0; i < kPixels; ++i) {
-      const int pixel = u + static_cast<int>(i);
-      const double depth = row.depth + pixel * row.d_depth;
-      places_of[i] = depth > 0.0 ? std::clamp((start + pixel * step) / depth, -kFar, kFar) : -kFar;
+    const V each = hn::Set(d, static_cast<float>(step / row.depth));
+    const V first = hn::Set(d, static_cast<float>(at - base));
+    for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d))) {
+      hn::Store(hn::MulAdd(each, hn::Iota(d, static_cast<float>(i)), first), d, local + i);
     }
-    base = std::floor(places_of[0]);
-    HWY_ALIGN float relative[kPixels];
-    for (std::size_t i = 0; i < kPixels; ++i) relative[i] = static_cast<float>(places_of[i] - base);
-    local = hn::Load(d, relative);
+  } else {
+    double places[kGroup];
+    for (int i = 0; i < kGroup; ++i) {
+      const double depth = row.depth + (u + i) * row.d_depth;
+      places[i] = depth > 0.0 ? std::clamp((start + (u + i) * step) / depth, -kFar, kFar) : -kFar;
+    }
+    base = std::floor(places[0]);
+    for (int i = 0; i < kGroup; ++i) local[i] = static_cast<float>(places[i] - base);
   }
-  local = hn::Min(hn::Max(local, hn::Set(d, -2.0F * static_cast<float>(kFar))), hn::Set(d, 2.0F * static_cast<float>(kFar)));
-  const V4 whole = hn::Floor(local);
-  hn::Store(whole, d, places->whole);
-  places->fraction = hn::Sub(local, whole);
   return static_cast<int>(base);
 }
 
 // Keys' weights (see worker/sensor/bicubic.h) of the cells at -1, 0, 1, 2.
-HWY_INLINE void CubicWeights4(V4 t, V4* w) {
-  const D4 d;
+HWY_INLINE void CubicWeightsOf(V t, V* w) {
+  const Lanes d;
   const auto c = [&](float value) HWY_ATTR { return hn::Set(d, value); };
-  const V4 t2 = hn::Mul(t, t);
+  const V t2 = hn::Mul(t, t);
   w[0] = hn::Mul(t, hn::MulAdd(hn::MulAdd(c(-0.5F), t, c(1.0F)), t, c(-0.5F)));
   w[1] = hn::MulAdd(hn::MulAdd(c(1.5F), t, c(-2.5F)), t2, c(1.0F));
   w[2] = hn::Mul(t, hn::MulAdd(hn::MulAdd(c(-1.5F), t, c(2.0F)), t, c(0.5F)));
   w[3] = hn::Mul(t2, hn::MulAdd(c(0.5F), t, c(-0.5F)));
 }
 
-// sum_i x_weights[i] * rows[pixel][i], per pixel.
-HWY_INLINE V4 WeighAcross(const V4* rows, const V4* x_weights) {
-  const D4 d;
-  const V4 low01 = hn::InterleaveLower(d, rows[0], rows[1]);
-  const V4 low23 = hn::InterleaveLower(d, rows[2], rows[3]);
-  const V4 high01 = hn::InterleaveUpper(d, rows[0], rows[1]);
-  const V4 high23 = hn::InterleaveUpper(d, rows[2], rows[3]);
-  // Two interleaved floats of each pixel are one unit of 64 bits.
-  V4 sum = hn::Mul(x_weights[0], hn::ConcatLowerLower(d, low23, low01));
-  sum = hn::MulAdd(x_weights[1], hn::ConcatUpperUpper(d, low23, low01), sum);
-  sum = hn::MulAdd(x_weights[2], hn::ConcatLowerLower(d, high23, high01), sum);
-  return hn::MulAdd(x_weights[3], hn::ConcatUpperUpper(d, high23, high01), sum);
+// Where `count` pixels from `u` on fall, and which of them are used.
+HWY_INLINE void PlaceGroup(const SplatRow& row, int u, int count, int row_begin, int row_end, int width, int height, int at, Chunk* chunk) {
+  const Lanes d;
+  const hn::RebindToSigned<Lanes> di;
+  const auto integer = [&](int value) HWY_ATTR { return hn::Set(di, value); };
+  HWY_ALIGN float x_local[kGroup];
+  HWY_ALIGN float y_local[kGroup];
+  const auto x_base = integer(Locate(row, u, row.x, row.dx, x_local));
+  const auto y_base = integer(Locate(row, u, row.y, row.dy, y_local));
+  const V far = hn::Set(d, 2.0F * static_cast<float>(kFar));
+  const V half = hn::Set(d, 0.5F);
+  const V zero = hn::Zero(d);
+  for (int i = 0; i < kGroup; i += static_cast<int>(hn::Lanes(d))) {
+    const V x = hn::Min(hn::Max(hn::Load(d, x_local + i), hn::Neg(far)), far);
+    const V y = hn::Min(hn::Max(hn::Load(d, y_local + i), hn::Neg(far)), far);
+    const V x_whole = hn::Floor(x);
+    const V y_whole = hn::Floor(y);
+    const V tx = hn::Sub(x, x_whole);
+    const V ty = hn::Sub(y, y_whole);
+    const auto ix = hn::Add(x_base, hn::ConvertTo(di, x_whole));
+    const auto iy = hn::Add(y_base, hn::ConvertTo(di, y_whole));
+    const auto one = integer(1);
+    const auto cx = hn::Add(ix, hn::IfThenElseZero(hn::RebindMask(di, hn::Ge(tx, half)), one));
+    const auto cy = hn::Add(iy, hn::IfThenElseZero(hn::RebindMask(di, hn::Ge(ty, half)), one));
+    auto used = hn::And(hn::And(hn::Gt(ix, integer(0)), hn::Gt(iy, integer(0))),
+                        hn::And(hn::Lt(ix, integer(width - 2)), hn::Lt(iy, integer(height - 2))));
+    used = hn::And(used, hn::And(hn::Gt(cy, integer(row_begin - 1)), hn::Lt(cy, integer(row_end))));
+    const std::size_t rest = static_cast<std::size_t>(std::max(count - i, 0));
+    const V pixel = LoadUpTo(d, row.pixels + u + i, rest);
+    V trust = hn::Set(d, 1.0F);
+    if (row.weights != nullptr) trust = LoadUpTo(d, row.weights + u + i, rest);
+    const auto measured = hn::And(hn::And(hn::Eq(pixel, pixel), hn::Gt(trust, zero)), hn::FirstN(d, rest));
+    used = hn::And(used, hn::RebindMask(di, measured));
+    const auto nowhere = integer(-1);
+    hn::Store(hn::IfThenElse(used, hn::Add(hn::Mul(cy, integer(width)), cx), nowhere), di, chunk->cell + at + i);
+    hn::Store(hn::IfThenElseZero(used, hn::Add(hn::Mul(hn::Sub(iy, one), integer(width)), hn::Sub(ix, one))), di, chunk->first + at + i);
+    hn::Store(tx, d, chunk->x_fraction + at + i);
+    V w[4];
+    CubicWeightsOf(ty, w);
+    hn::StoreInterleaved4(w[0], w[1], w[2], w[3], d, chunk->y_weights + 4 * (at + i));
+  }
 }
 
-HWY_INLINE void SplatFour(const SplatRow& row, int u, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes) {
-  const D4 d;
-  const int width = planes.prediction->width();
-  const int height = planes.prediction->height();
-  Places px;
-  Places py;
-  const int x_base = Locate(row, u, row.x, row.dx, &px);
-  const int y_base = Locate(row, u, row.y, row.dy, &py);
-  HWY_ALIGN float x_round[kPixels];
-  HWY_ALIGN float y_round[kPixels];
-  const V4 half = hn::Set(d, 0.5F);
-  hn::Store(hn::IfThenElseZero(hn::Ge(px.fraction, half), hn::Set(d, 1.0F)), d, x_round);
-  hn::Store(hn::IfThenElseZero(hn::Ge(py.fraction, half), hn::Set(d, 1.0F)), d, y_round);
-  V4 x_weights[4];
-  V4 y_weights[4];
-  CubicWeights4(px.fraction, x_weights);
-  CubicWeights4(py.fraction, y_weights);
-  HWY_ALIGN float wy[4][kPixels];
-  for (std::size_t j = 0; j < 4; ++j) hn::Store(y_weights[j], d, wy[j]);
-
-  const std::size_t count = std::min(kPixels, static_cast<std::size_t>(row.end - u));
-  std::size_t cell[kPixels] = {};
-  bool used[kPixels] = {};
-  bool any = false;
-  HWY_ALIGN float centre[kPixels] = {};
-  HWY_ALIGN float seen[kPixels] = {};
-  V4 rows[kPixels] = {hn::Zero(d), hn::Zero(d), hn::Zero(d), hn::Zero(d)};
-  for (std::size_t i = 0; i < count; ++i) {
-    const int ix = x_base + static_cast<int>(px.whole[i]);
-    const int iy = y_base + static_cast<int>(py.whole[i]);
-    const int cy = iy + static_cast<int>(y_round[i]);
-    const bool supported = ix >= 1 && iy >= 1 && ix < width - 2 && iy < height - 2;
-    if (!supported || cy < row_begin || cy >= row_end) continue;
-    if (std::isnan(row.pixels[u + static_cast<int>(i)])) continue;
-    if (row.weights != nullptr && !(row.weights[u + static_cast<int>(i)] > 0.0F)) continue;
-    const float* p = planes.prediction->row(iy - 1) + ix - 1;
-    V4 sum = hn::Mul(hn::Set(d, wy[0][i]), hn::LoadU(d, p));
-    sum = hn::MulAdd(hn::Set(d, wy[1][i]), hn::LoadU(d, p + width), sum);
-    sum = hn::MulAdd(hn::Set(d, wy[2][i]), hn::LoadU(d, p + 2 * static_cast<std::ptrdiff_t>(width)), sum);
-    rows[i] = hn::MulAdd(hn::Set(d, wy[3][i]), hn::LoadU(d, p + 3 * static_cast<std::ptrdiff_t>(width)), sum);
-    cell[i] = static_cast<std::size_t>(cy) * static_cast<std::size_t>(width) + static_cast<std::size_t>(ix + static_cast<int>(x_round[i]));
-    centre[i] = planes.prediction->row(0)[cell[i]];
-    seen[i] = planes.seen->row(0)[cell[i]];
-    used[i] = any = true;
+// Combines the rows of every pixel's support along y, and fetches what is at its cell.
+HWY_INLINE void Fetch(const SplatPlanes& planes, int count, Chunk* chunk) {
+  const float* const prediction = planes.prediction->row(0);
+  const float* const seen = planes.seen->row(0);
+  const std::ptrdiff_t width = planes.prediction->width();
+  for (int i = 0; i < count; ++i) {
+    const float* p = prediction + chunk->first[i];
+    const float* w = chunk->y_weights + 4 * i;
+#if HWY_TARGET == HWY_SCALAR
+    for (int k = 0; k < 4; ++k) {
+      chunk->columns[4 * i + k] = ((w[0] * p[k] + w[1] * p[k + width]) + w[2] * p[k + 2 * width]) + w[3] * p[k + 3 * width];
+    }
+#else
+    const hn::FixedTag<float, 4> d;
+    auto sum = hn::Mul(hn::Set(d, w[0]), hn::LoadU(d, p));
+    sum = hn::MulAdd(hn::Set(d, w[1]), hn::LoadU(d, p + width), sum);
+    sum = hn::MulAdd(hn::Set(d, w[2]), hn::LoadU(d, p + 2 * width), sum);
+    hn::Store(hn::MulAdd(hn::Set(d, w[3]), hn::LoadU(d, p + 3 * width), sum), d, chunk->columns + 4 * i);
+#endif
+    const int cell = std::max(chunk->cell[i], 0);
+    chunk->centre[i] = prediction[cell];
+    chunk->seen[i] = seen[cell];
   }
-  if (!any) return;
+}
 
-  const V4 predicted = WeighAcross(rows, x_weights);
-  const V4 gain = hn::Set(d, model.gain);
-  const V4 limit = hn::Set(d, model.limit);
-  const V4 one = hn::Set(d, 1.0F);
-  const V4 value = hn::Div(hn::Sub(LoadUpTo(d, row.pixels + u, count), hn::Set(d, model.offset)), gain);
-  const V4 difference = hn::Sub(value, predicted);
-  const V4 size = hn::Abs(hn::Mul(gain, difference));
-  // The first look at a cell has nothing to be an outlier of.
-  const auto outlier = hn::And(hn::Ge(hn::Load(d, seen), hn::Set(d, 1.5F)), hn::Gt(size, limit));
-  const V4 robust = hn::IfThenElse(outlier, hn::Div(limit, size), one);
-  const V4 trust = row.weights != nullptr ? LoadUpTo(d, row.weights + u, count) : one;
-  const V4 weight = hn::Mul(hn::Mul(trust, robust), hn::Mul(gain, gain));
-  const V4 weighted = hn::Mul(weight, hn::Add(difference, hn::Load(d, centre)));
-  HWY_ALIGN float added_weight[kPixels];
-  HWY_ALIGN float added_weighted[kPixels];
-  hn::Store(weight, d, added_weight);
-  hn::Store(weighted, d, added_weighted);
-  for (std::size_t i = 0; i < count; ++i) {
-    if (!used[i]) continue;
-    planes.weight->row(0)[cell[i]] += added_weight[i];
-    planes.weighted->row(0)[cell[i]] += added_weighted[i];
+// The weight of every pixel's sample, and that times its value at the cell.
+HWY_INLINE void Weigh(const SplatRow& row, int u, int count, const SplatModel& model, Chunk* chunk) {
+  const Lanes d;
+  const V gain = hn::Set(d, model.gain);
+  const V limit = hn::Set(d, model.limit);
+  const V one = hn::Set(d, 1.0F);
+  for (int i = 0; i < count; i += static_cast<int>(hn::Lanes(d))) {
+    const std::size_t rest = static_cast<std::size_t>(count - i);
+    V w[4];
+    CubicWeightsOf(hn::Load(d, chunk->x_fraction + i), w);
+    V c[4];
+    hn::LoadInterleaved4(d, chunk->columns + 4 * i, c[0], c[1], c[2], c[3]);
+    V predicted = hn::Mul(w[0], c[0]);
+    for (int k = 1; k < 4; ++k) predicted = hn::MulAdd(w[k], c[k], predicted);
+    const V value = hn::Div(hn::Sub(LoadUpTo(d, row.pixels + u + i, rest), hn::Set(d, model.offset)), gain);
+    const V difference = hn::Sub(value, predicted);
+    const V size = hn::Abs(hn::Mul(gain, difference));
+    // The first look at a cell has nothing to be an outlier of.
+    const auto outlier = hn::And(hn::Ge(hn::Load(d, chunk->seen + i), hn::Set(d, 1.5F)), hn::Gt(size, limit));
+    const V robust = hn::IfThenElse(outlier, hn::Div(limit, size), one);
+    const V trust = row.weights != nullptr ? LoadUpTo(d, row.weights + u + i, rest) : one;
+    const V weight = hn::Mul(hn::Mul(trust, robust), hn::Mul(gain, gain));
+    hn::Store(weight, d, chunk->weight + i);
+    hn::Store(hn::Mul(weight, hn::Add(difference, hn::Load(d, chunk->centre + i))), d, chunk->weighted + i);
   }
 }
 
 void SplatTarget(const SplatRow& row, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes) {
-  for (int u = row.begin; u < row.end; u += static_cast<int>(kPixels)) SplatFour(row, u, model, row_begin, row_end, planes);
+  const int width = planes.prediction->width();
+  const int height = planes.prediction->height();
+  float* const weight = planes.weight->row(0);
+  float* const weighted = planes.weighted->row(0);
+  if (width < 4 || height < 4) return;
+  Chunk chunk;
+  for (int u = row.begin / kGroup * kGroup; u < row.end; u += kChunk) {
+    const int count = std::min(kChunk, row.end - u);
+    for (int at = 0; at < count; at += kGroup) {
+      PlaceGroup(row, u + at, std::min(kGroup, count - at), row_begin, row_end, width, height, at, &chunk);
+    }
+    Fetch(planes, count, &chunk);
+    Weigh(row, u, count, model, &chunk);
+    for (int i = 0; i < count; ++i) {
+      const int cell = chunk.cell[i];
+      if (cell < 0) continue;
+      weight[cell] += chunk.weight[i];
+      weighted[cell] += chunk.weighted[i];
+    }
+  }
 }
-
-#endif  // HWY_TARGET == HWY_SCALAR
 
 }  // namespace trem::HWY_NAMESPACE
 HWY_AFTER_NAMESPACE();

@@ -9,7 +9,7 @@ namespace trem {
 struct SplatRow {
   const float* pixels = nullptr;   // NaN: no measurement.
   const float* weights = nullptr;  // Relative inverse variance; null: all 1. A pixel without a positive one is left out.
-  int begin = 0;                   // Pixels [begin, end) are looked at; `begin` is a multiple of 4.
+  int begin = 0;                   // Pixels [begin, end) are looked at, and a few before them.
   int end = 0;
   double x = 0.0;
   double y = 0.0;
@@ -35,8 +35,8 @@ struct SplatPlanes {
 };
 
 // Adds the samples that fall nearest to cells of rows [row_begin, row_end) to these cells; see InformationUpdate::AddFrame. The prediction
-// is sampled by Keys' bicubic at the pixel's place, so the sample is carried to the cell's centre along the model's own slope. Four pixels
-// at a time on every processor: one load per row of the 4 x 4 support is cheaper than any gather.
+// is sampled by Keys' bicubic at the pixel's place, so the sample is carried to the cell's centre along the model's own slope. The bytes do
+// not depend on the vectors' length. One load of four cells per row of the 4 x 4 support is cheaper than any gather.
 void Splat(const SplatRow& row, const SplatModel& model, int row_begin, int row_end, const SplatPlanes& planes);
 
 }  // namespace trem

@@ -1,5 +1,7 @@
 #pragma once
 
+#include "worker/sensor/filter_rows.h"
+
 namespace trem {
 
 // Row kernels of one step of the scene update, vectorised with run-time dispatch. Scratch rows ("line") have kRowSlack floats beyond the
@@ -9,18 +11,20 @@ namespace trem {
 // line[x] = now[x] + momentum * (now[x] - before[x]).
 void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line);
 
-// out[x] = w[x] * filtered[x] - z[x], `filtered` the line `in` filtered along itself as by FilterRow. `w` and `z` are rows of images.
-void ResidualRow(const float* in, const float* taps, int radius, const float* w, const float* z, int count, float* out);
+// Rows of the residual: out[i][x] = w[i][x] * filtered - z[i][x], row i of `block` filtered. Pointers are to column 0 of the image; `w` and
+// `z` are rows of images, `out` lines.
+void ResidualRows(const FilterBlock& block, const float* const* w, const float* const* z, float* const* out);
 
-// One row of the step that follows.
+// One row of the step that follows; pointers are to column 0 of the image.
 struct StepRow {
-  const float* residual = nullptr;  // Line: the residual filtered down the columns; filtered along itself here.
-  const float* start = nullptr;     // Line: the extrapolated scene, from start[-1] to start[count].
-  const float* above = nullptr;     // Its rows above and below; `start` itself at the region's border.
+  const float* start = nullptr;  // Line: the extrapolated scene, one cell to either side of the block's columns, too.
+  const float* above = nullptr;  // Its rows above and below; `start` itself at the region's border.
   const float* below = nullptr;
   const float* majoriser = nullptr;  // Row of an image.
-  int left_border = -1;              // Cell that is the region's first, it has no difference to its left; -1: none of them.
-  int right_border = -1;             // Cell that is the region's last.
+  float* out = nullptr;              // Line: the new scene.
+  // Of the step after this one: line[x] = out[x] + momentum * (out[x] - now[x]); null: there is none.
+  float* next_start = nullptr;
+  const float* now = nullptr;  // Line or row of an image: the scene that this step began with.
 };
 
 struct StepWeights {
@@ -29,9 +33,18 @@ struct StepWeights {
   float damping = 0.0F;  // Added to the majoriser.
 };
 
-// out[x] = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping); `out` is a
-// line.
-void StepInto(const StepRow& row, const float* taps, int radius, const StepWeights& weights, int count, float* out);
+// What all rows of a block of steps share.
+struct StepBlock {
+  const StepRow* rows = nullptr;
+  StepWeights weights;
+  int left_border = -1;   // Column that is the region's first, it has no difference to its left; -1: none of them.
+  int right_border = -1;  // Its last.
+  float next_momentum = 0.0F;
+};
+
+// out = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping), row i of `block`
+// being B residual.
+void StepRows(const FilterBlock& block, const StepBlock& step);
 
 // row[x] *= factor; a row of an image.
 void ScaleRow(float factor, int count, float* row);

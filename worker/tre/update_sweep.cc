@@ -56,21 +56,27 @@ void UpdateSweep::Prepare(const Roi& tile, std::span<const float> momenta) {
   stride_ = AlignedDown(widest.x1 + radius + 1 - origin_ + kRowSlack + kAlign);
   // How far each stage may be ahead of the oldest row that is still read, when every stage works in blocks.
   for (std::size_t k = 0; k < count_; ++k) {
-    steps_[k].extrapolated.Fit(reach + 2 * kBlock + 1, stride_);
+    steps_[k].extrapolated.Fit(reach + 3 * kBlock + 2, stride_);
     steps_[k].residual.Fit(2 * radius + 2 * kBlock, stride_);
     steps_[k].result.Fit(reach + 3 * kBlock + 2, stride_);
   }
-  block_.Fit(kBlock, stride_);
+  lines_.Fit(kFilterLines, stride_);
   rows_.resize(static_cast<std::size_t>(2 * radius + kBlock));
 }
 
-void UpdateSweep::FilterBlock(int row_count, int x0, int x1) {
-  const int radius = psf_.radius();
-  const int begin = AlignedDown(std::max(x0 - radius, 0));
-  const int end = std::min(x1 + radius, width());
-  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, row_count, AlignedDown(end - begin + kAlign - 1), Line(block_.row(0), begin),
-                    stride_);
-  for (int i = 0; i < row_count; ++i) ReflectRow(Line(block_.row(i), 0), x0 - radius, x1 + radius, width());
+FilterBlock UpdateSweep::BlockOf(int row_count, int x0, int x1) {
+  FilterBlock block;
+  block.rows = rows_.data();
+  block.row_count = row_count;
+  block.taps = psf_.taps.data();
+  block.radius = psf_.radius();
+  block.begin = x0;
+  block.end = x1;
+  block.width = width();
+  block.first = AlignedDown(std::max(x0 - block.radius, 0));
+  block.lines = Line(lines_.row(0));
+  block.stride = stride_;
+  return block;
 }
 
 void UpdateSweep::Run(const SweepPlanes& planes, const Roi& region, const Roi& tile, std::span<const float> momenta,
@@ -110,17 +116,14 @@ void UpdateSweep::MakeExtrapolated(std::size_t k, int last) {
       FillBeside(y, support.x0, support.x1, support.x1, support.x1, line);
       continue;
     }
+    if (k > 0) {
+      MakeResult(k - 1, y);  // Which extrapolates what it has made.
+      continue;
+    }
     const int begin = std::max(region_.x0, support.x0);
     const int end = std::min(region_.x1, support.x1);
     const int first = AlignedDown(begin);
-    const float* now = planes_.scene->row(y) + first;
-    const float* before = planes_.previous->row(y) + first;
-    if (k > 0) {
-      MakeResult(k - 1, y);
-      before = k == 1 ? now : Line(steps_[k - 2].result.row(y), first);
-      now = Line(steps_[k - 1].result.row(y), first);
-    }
-    ExtrapolateRow(now, before, step.momentum, end - first, Line(line, first));
+    ExtrapolateRow(planes_.scene->row(y) + first, planes_.previous->row(y) + first, step.momentum, end - first, Line(line, first));
     FillBeside(y, support.x0, begin, end, support.x1, line);
   }
 }
@@ -134,17 +137,18 @@ void UpdateSweep::MakeResidual(std::size_t k, int last) {
     const int count = std::min(kBlock, context.y1 - first);
     step.next_residual += count;
     MakeExtrapolated(k, std::min(first + count - 1 + radius, height() - 1));
-    const int x0 = AlignedDown(context.x0);
-    const int begin = AlignedDown(std::max(x0 - radius, 0));
     for (int j = 0; j < count + 2 * radius; ++j) {
-      rows_[static_cast<std::size_t>(j)] = Line(step.extrapolated.row(ReflectIndex(first + j - radius, height())), begin);
+      rows_[static_cast<std::size_t>(j)] = Line(step.extrapolated.row(ReflectIndex(first + j - radius, height())));
     }
-    FilterBlock(count, x0, context.x1);
+    const float* weight[kBlock];
+    const float* weighted[kBlock];
+    float* out[kBlock];
     for (int i = 0; i < count; ++i) {
-      const int y = first + i;
-      ResidualRow(Line(block_.row(i), x0), psf_.taps.data(), radius, planes_.weight->row(y) + x0, planes_.weighted->row(y) + x0,
-                  context.x1 - x0, Line(step.residual.row(y), x0));
+      weight[i] = planes_.weight->row(first + i);
+      weighted[i] = planes_.weighted->row(first + i);
+      out[i] = Line(step.residual.row(first + i));
     }
+    ResidualRows(BlockOf(count, AlignedDown(context.x0), context.x1), weight, weighted, out);
   }
 }
 
@@ -158,27 +162,37 @@ void UpdateSweep::MakeResult(std::size_t k, int last) {
     step.next_result += count;
     MakeResidual(k, std::min(first + count - 1 + radius, height() - 1));
     if (radius == 0) MakeExtrapolated(k, std::min(first + count, step.support.y1 - 1));
-    const int x0 = AlignedDown(out.x0);
-    const int begin = AlignedDown(std::max(x0 - radius, 0));
     for (int j = 0; j < count + 2 * radius; ++j) {
-      rows_[static_cast<std::size_t>(j)] = Line(step.residual.row(ReflectIndex(first + j - radius, height())), begin);
+      rows_[static_cast<std::size_t>(j)] = Line(step.residual.row(ReflectIndex(first + j - radius, height())));
     }
-    FilterBlock(count, x0, out.x1);
-    for (int i = 0; i < count; ++i) {
-      const int y = first + i;
-      StepRow row;
-      row.residual = Line(block_.row(i), x0);
-      row.start = Line(step.extrapolated.row(y), x0);
-      row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1), x0) : row.start;
-      row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1), x0) : row.start;
-      row.majoriser = planes_.majoriser->row(y) + x0;
-      if (out.x0 == region_.x0) row.left_border = out.x0 - x0;
-      if (out.x1 == region_.x1) row.right_border = out.x1 - 1 - x0;
-      float* line = step.result.row(y);
-      StepInto(row, psf_.taps.data(), radius, weights_, out.x1 - x0, Line(line, x0));
-      WriteResult(k, y, line);
+    StepRow rows[kBlock];
+    for (int i = 0; i < count; ++i) rows[i] = RowOf(k, first + i);
+    StepBlock block{rows, weights_};
+    if (out.x0 == region_.x0) block.left_border = out.x0;
+    if (out.x1 == region_.x1) block.right_border = out.x1 - 1;
+    if (k + 1 < count_) block.next_momentum = steps_[k + 1].momentum;
+    StepRows(BlockOf(count, AlignedDown(out.x0), out.x1), block);
+    for (int y = first; y < first + count; ++y) {
+      WriteResult(k, y, step.result.row(y));
+      if (k + 1 == count_) continue;
+      Step& next = steps_[k + 1];
+      FillBeside(y, next.support.x0, out.x0, out.x1, next.support.x1, next.extrapolated.row(y));
     }
   }
+}
+
+StepRow UpdateSweep::RowOf(std::size_t k, int y) {
+  Step& step = steps_[k];
+  StepRow row;
+  row.start = Line(step.extrapolated.row(y));
+  row.above = y > region_.y0 ? Line(step.extrapolated.row(y - 1)) : row.start;
+  row.below = y + 1 < region_.y1 ? Line(step.extrapolated.row(y + 1)) : row.start;
+  row.majoriser = planes_.majoriser->row(y);
+  row.out = Line(step.result.row(y));
+  if (k + 1 == count_) return row;
+  row.next_start = Line(steps_[k + 1].extrapolated.row(y));
+  row.now = k == 0 ? planes_.scene->row(y) : Line(steps_[k - 1].result.row(y));
+  return row;
 }
 
 void UpdateSweep::WriteResult(std::size_t k, int y, const float* line) {
@@ -207,14 +221,11 @@ void UpdateSweep::MakePrediction(int first, int last_end) {
   for (int j = 0; j < count + 2 * radius; ++j) {
     const int y = ReflectIndex(first + j - radius, height());
     const bool moved = y >= region_.y0 && y < region_.y1;
-    rows_[static_cast<std::size_t>(j)] = moved ? Line(last.result.row(y), begin) : planes_.scene->row(y) + begin;
+    rows_[static_cast<std::size_t>(j)] = moved ? Line(last.result.row(y)) : planes_.scene->row(y);
   }
-  FilterColumnBlock(rows_.data(), psf_.taps.data(), radius, count, end - begin, Line(block_.row(0), begin), stride_);
-  for (int i = 0; i < count; ++i) {
-    float* line = block_.row(i);
-    ReflectRow(Line(line, 0), tile_.x0 - radius, tile_.x1 + radius, width());
-    FilterRow(Line(line, tile_.x0), psf_.taps.data(), radius, tile_.width(), planes_.prediction->row(first + i) + tile_.x0);
-  }
+  float* out[kBlock];
+  for (int i = 0; i < count; ++i) out[i] = planes_.prediction->row(first + i);
+  FilterRows(BlockOf(count, tile_.x0, tile_.x1), out);
 }
 
 }  // namespace trem

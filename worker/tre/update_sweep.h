@@ -6,6 +6,7 @@
 
 #include "mosaic/base/image.h"
 #include "mosaic/geometry/roi.h"
+#include "worker/sensor/filter_rows.h"
 #include "worker/sensor/psf.h"
 #include "worker/tre/update_kernels.h"
 
@@ -75,15 +76,17 @@ class UpdateSweep {
   void MakeResidual(std::size_t k, int last);
   void MakeResult(std::size_t k, int last);
   void MakePrediction(int begin, int end);
-  // block_ row i = rows_[i ..] filtered down the columns that out of [x0, x1) need, reflected at the image's border.
-  void FilterBlock(int row_count, int x0, int x1);
+  // Rows of a block of `row_count` from columns [x0, x1) on; its input is rows_.
+  FilterBlock BlockOf(int row_count, int x0, int x1);
+  // Row y of step k as its kernel wants it.
+  StepRow RowOf(std::size_t k, int y);
   void WriteResult(std::size_t k, int y, const float* line);
   void FillBeside(int y, int begin, int inner_begin, int inner_end, int end, float* line) const;
 
   int width() const { return planes_.scene->width(); }
   int height() const { return planes_.scene->height(); }
-  // Lines start at column origin_ of the images.
-  float* Line(float* line, int x) const { return line + (x - origin_); }
+  // Lines start at column origin_ of the images; this is where column x of them is.
+  float* Line(float* line, int x = 0) const { return line + (x - origin_); }
 
   SeparablePsf psf_;
   SweepPlanes planes_;
@@ -94,7 +97,7 @@ class UpdateSweep {
   int stride_ = 0;
   std::size_t count_ = 0;
   std::vector<Step> steps_;
-  Ring block_;
+  Ring lines_;
   std::vector<const float*> rows_;
 };
 

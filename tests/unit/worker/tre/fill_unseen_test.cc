@@ -71,9 +71,9 @@ TEST(FillUnseen, EveryCellIsFilledByTheRule) {
     }
     const SceneBuffer before = buffer;
     Image<float> continued;
-    const Roi changed = FillUnseen(frame, kRoi, view, kRegion, &buffer, &continued);
+    const std::vector<Roi> changed = FillUnseen(frame, kRoi, view, kRegion, &buffer, &continued);
     const OneByOne rule(frame, view);
-    Roi expected{1000, 1000, -1000, -1000};
+    long long changes = 0;
     for (int y = 0; y < kExtent.height(); ++y) {
       for (int x = 0; x < kExtent.width(); ++x) {
         Filled cell{before.filled.at(x, y), before.scene.at(x, y)};
@@ -82,10 +82,16 @@ TEST(FillUnseen, EveryCellIsFilledByTheRule) {
         ASSERT_EQ(buffer.scene.at(x, y), cell.value) << x << ", " << y;
         ASSERT_EQ(buffer.previous.at(x, y), cell.value) << x << ", " << y;
         if (cell.source == before.filled.at(x, y)) continue;
-        expected = {std::min(expected.x0, x), std::min(expected.y0, y), std::max(expected.x1, x + 1), std::max(expected.y1, y + 1)};
+        ++changes;
+        const auto holds = [x, y](const Roi& part) { return part.Contains(x, y); };
+        ASSERT_TRUE(std::any_of(changed.begin(), changed.end(), holds)) << x << ", " << y;
       }
     }
-    EXPECT_EQ(changed, expected);
+    ASSERT_GT(changes, 0);
+    // The rectangles are not mostly made of other cells.
+    long long held = 0;
+    for (const Roi& part : changed) held += part.area();
+    EXPECT_LE(held, 2 * changes + 64 * static_cast<long long>(changed.size()));
     // A second time, nothing is left to do.
     const SceneBuffer after = buffer;
     EXPECT_TRUE(FillUnseen(frame, kRoi, view, kRegion, &buffer, &continued).empty());
