@@ -30,6 +30,7 @@ constexpr int kProbeEvery = 3;
 // A difference of scale below this part of sigma is noise: bounds lambda on ground without any texture.
 constexpr double kScaleMin = 0.1;
 constexpr float kSeenMin = 0.75F;
+constexpr int kManyRows = 300;
 constexpr double kHuberSigmas = 3.0;
 
 // Energies of other kinds weigh a scene of a given scale otherwise: the ratio of their sums' curvatures.
@@ -53,10 +54,11 @@ struct Texture {
   double frames = 1.0;  // Mean number of frames that have seen a cell.
 };
 
-// Of the cells that were seen, over every third row.
+// Of the cells that were seen, over every third row, of many rows every sixth.
 Texture TextureOf(const Roi& inner, const SceneBuffer& buffer) {
   TextureSums sum;
-  for (int y = inner.y0; y + 1 < inner.y1; y += 3) {
+  const int step = inner.height() < kManyRows ? 3 : 6;
+  for (int y = inner.y0; y + 1 < inner.y1; y += step) {
     const TextureSums row = SumTexture(buffer.scene.row(y) + inner.x0, buffer.scene.row(y + 1) + inner.x0, buffer.seen.row(y) + inner.x0,
                                        kSeenMin, std::max(inner.width() - 1, 0));
     sum.size += row.size;
@@ -134,11 +136,11 @@ void AutomaticRegularisation::MakeProbe(const Roi& region, const SceneBuffer& bu
   if (!learn_) return;
   const int turn = probe_count_++;
   if (turn >= kProbesDense && turn % kProbeEvery != 0) return;
-  // Half the ROI's side at first, when there is most to learn, then a third; at places that a golden ratio sequence spreads evenly over
-  // what the ROI will see again.
+  // Half the ROI's side at first, when there is most to learn, then a third, at most 32 sensor pixels; at places that a golden ratio
+  // sequence spreads evenly over what the ROI will see again.
   const int rim = radius() + 3 * ratio_;
   const int reach = std::min(region.width(), region.height());
-  const int side = std::clamp(turn < kProbesDense ? reach / 2 : reach / 3, 10 * ratio_, 64 * ratio_);
+  const int side = turn < kProbesDense ? std::clamp(reach / 2, 10 * ratio_, 64 * ratio_) : std::clamp(reach / 3, 10 * ratio_, 32 * ratio_);
   const int room_x = region.width() - 2 * rim - side;
   const int room_y = region.height() - 2 * rim - side;
   if (room_x <= 0 || room_y <= 0) return;

@@ -36,9 +36,9 @@ struct StructureWeight {
 //
 // Without learning lambda = 0.0031 sigma^2 (1 + 0.03 n), delta = 4, whatever the scene.
 //
-// Deterministic. Cost: 2 x 8 iterations on a quarter of the ROI for the first six frames, on a ninth for every third frame after. Sources:
-// Ljung & Soderstrom, Theory and Practice of Recursive Identification, 1983, 3.6 (recursive prediction error); Dawid, JRSS A 147, 1984
-// (prequential).
+// Deterministic. Cost: 2 x 8 iterations on a quarter of the ROI for the first six frames, for every third frame after on a ninth, at most
+// 32 sensor pixels a side. Sources: Ljung & Soderstrom, Theory and Practice of Recursive Identification, 1983, 3.6 (recursive prediction
+// error); Dawid, JRSS A 147, 1984 (prequential).
 class AutomaticRegularisation {
  public:
   AutomaticRegularisation(const SeparablePsf& psf, StructurePriorKind kind, int ratio, bool learn = true, int threads = 1);

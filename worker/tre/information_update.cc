@@ -43,6 +43,8 @@ constexpr int kTileWidth = 4096;
 // With several threads, tiles of a large region have up to this many rows; a region is cut when it is this part of the image.
 constexpr int kTileHeight = 1024;
 constexpr double kPartForTiles = 0.25;
+// Cells from which several threads are worth their start.
+constexpr long long kCellsForThreads = 1 << 15;
 
 // `region` of an image of `image_cells` cells cut into equal tiles, as many for each of the threads.
 std::vector<Roi> Tiles(const Roi& region, int threads, double image_cells) {
@@ -227,7 +229,9 @@ void InformationUpdate::AddNegativePart(const Roi& inner, SceneBuffer* buffer) c
 void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
   FitScratch();
-  ForEachIndex(options_.threads, BandCount(inner.y0, inner.y1),
+  // A strip of new ground is done before another thread has woken up.
+  const int threads = inner.area() < kCellsForThreads ? 1 : options_.threads;
+  ForEachIndex(threads, BandCount(inner.y0, inner.y1),
                [&](int index, int slot) { ScratchOf(slot).blur.Apply(buffer->scene, Band(inner, index), &buffer->prediction); });
 }
 
