@@ -259,10 +259,8 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
             {{"worker", hello.worker_id()}, {"host", hello.host()}, {"pid", std::to_string(hello.pid())}});
   }
 
-  v1::Envelope welcome;
-  welcome.mutable_welcome()->set_heartbeat_interval_ms(options_.heartbeat_interval_ms);
-  welcome.mutable_welcome()->set_store_path(StorePath());
-  SendTo(peer, std::move(welcome));
+  AdaptHeartbeats();
+  SendTo(peer, WelcomeEnvelope());
 
   WorkerHelloEvent event;
   event.worker_id = hello.worker_id();
@@ -272,6 +270,22 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
   event.memory_bytes_max = hello.memory_bytes_max();
   for (const v1::TaskAttempt& attempt : hello.running()) event.running.push_back(FromProto(attempt));
   Feed(now_ms, event);
+}
+
+v1::Envelope Shell::WelcomeEnvelope() const {
+  v1::Envelope welcome;
+  welcome.mutable_welcome()->set_heartbeat_interval_ms(static_cast<std::uint32_t>(HeartbeatIntervalMs()));
+  welcome.mutable_welcome()->set_store_path(StorePath());
+  return welcome;
+}
+
+// Told to all when it changes: it is also what they judge a silence by. It falls late, so that a fleet about a step in size does not
+// flutter.
+void Shell::AdaptHeartbeats() {
+  const auto factor = static_cast<std::uint32_t>(1 + workers_.size() / std::max(1U, options_.heartbeat_fleet_step));
+  if (factor <= heartbeat_factor_ && 2 * factor >= heartbeat_factor_) return;
+  heartbeat_factor_ = factor;
+  for (const auto& [worker_id, worker] : workers_) SendTo(worker.peer, WelcomeEnvelope());
 }
 
 void Shell::OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope) {
@@ -370,13 +384,13 @@ void Shell::ForgetWorker(const std::string& worker_id) {
 void Shell::Tick(TimeMs now_ms) {
   if (is_full_) {
     if (now_ms < next_heartbeat_ms_) return;
-    next_heartbeat_ms_ = now_ms + options_.heartbeat_interval_ms;
+    next_heartbeat_ms_ = now_ms + HeartbeatIntervalMs();
     v1::Envelope heartbeat;
     heartbeat.mutable_heartbeat();
     for (const auto& [worker_id, worker] : workers_) send_(worker.peer, heartbeat);
     return;
   }
-  const TimeMs silence_ms_max = static_cast<TimeMs>(options_.heartbeat_interval_ms) * options_.heartbeats_missed_max;
+  const TimeMs silence_ms_max = HeartbeatIntervalMs() * options_.heartbeats_missed_max;
   std::vector<std::string> lost;
   for (const auto& [worker_id, worker] : workers_) {
     if (now_ms - worker.last_heard_ms > silence_ms_max) lost.push_back(worker_id);
@@ -387,9 +401,10 @@ void Shell::Tick(TimeMs now_ms) {
     Feed(now_ms, WorkerLostEvent{worker_id});
     ForgetWorker(worker_id);
   }
+  if (!lost.empty()) AdaptHeartbeats();
   Feed(now_ms, TickEvent{});
   if (now_ms >= next_heartbeat_ms_) {
-    next_heartbeat_ms_ = now_ms + options_.heartbeat_interval_ms;
+    next_heartbeat_ms_ = now_ms + HeartbeatIntervalMs();
     for (const auto& [worker_id, worker] : workers_) {
       v1::Envelope heartbeat;
       heartbeat.mutable_heartbeat();

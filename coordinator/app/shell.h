@@ -21,8 +21,10 @@ namespace trem {
 
 struct ShellOptions {
   SchedulerOptions scheduler;
-  // How often coordinator and workers let each other hear of them when there is nothing to say.
+  // How often coordinator and workers let each other hear of them when there is nothing to say; longer as the fleet grows, by once more for
+  // every `heartbeat_fleet_step` workers, so that thousands that wait cost next to nothing.
   std::uint32_t heartbeat_interval_ms = 500;
+  std::uint32_t heartbeat_fleet_step = 200;
   // A worker that was silent for this many intervals is lost and its tasks go to others. Fewer: a stopped worker is noticed sooner, but a
   // busy machine may lose live ones.
   std::uint32_t heartbeats_missed_max = 8;
@@ -103,6 +105,9 @@ class Shell {
   void ReplyJobStatus(const std::string& peer, const std::string& job_id);
   void ReplyJobList(const std::string& peer);
   void ForgetWorker(const std::string& worker_id);
+  TimeMs HeartbeatIntervalMs() const { return static_cast<TimeMs>(options_.heartbeat_interval_ms) * heartbeat_factor_; }
+  void AdaptHeartbeats();
+  v1::Envelope WelcomeEnvelope() const;
 
   // What operators ask for (shell_operations.cc).
   void OnTaskLog(const std::string& worker_id, const v1::TaskLog& log);
@@ -124,6 +129,7 @@ class Shell {
   std::vector<v1::LogEvent> unlogged_;
   std::vector<std::pair<std::string, v1::Envelope>> unsent_;
   TimeMs next_heartbeat_ms_ = 0;
+  std::uint32_t heartbeat_factor_ = 1;
   std::unique_ptr<JobLog> job_log_;  // May be null.
   bool shutdown_requested_ = false;
   bool is_full_ = false;

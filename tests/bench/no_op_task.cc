@@ -31,7 +31,10 @@ v1::TaskResult NoOpResult(const v1::TaskSpec& spec, std::uint32_t window_count) 
     ingest->mutable_valid_roi()->set_y1(50);
     ingest->add_spans()->set_end(frames);
   }
-  if (spec.kind() == v1::ALIGN) result.mutable_align()->set_tile_count(window_count / 10);
+  if (spec.kind() == v1::ALIGN) {
+    result.mutable_align()->set_tile_count(window_count / 10);
+    for (std::uint32_t tile = 0; tile < window_count / 10; ++tile) result.mutable_align()->add_tiles()->add_window_ids(tile);
+  }
   return result;
 }
 

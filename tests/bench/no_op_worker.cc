@@ -1,4 +1,5 @@
 // A worker as trem-worker's `serve` is one (the real loop, a real compute process), whose tasks do nothing: for service_throughput.
+#include <sys/prctl.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -67,5 +68,6 @@ int main(int argc, char** argv) {
   }
   (void)trem::ConfigureLog("no_op_worker", "warn").ok();
   std::signal(SIGTERM, OnStopSignal);
+  ::prctl(PR_SET_PDEATHSIG, SIGTERM);  // A measurement that breaks off leaves nothing behind.
   return Serve(coordinator, windows);
 }

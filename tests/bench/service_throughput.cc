@@ -21,6 +21,7 @@
 #include "mosaic/base/check.h"
 #include "mosaic/base/version.h"
 #include "proto/codec/envelope.h"
+#include "tests/support/loopback.h"
 #include "tests/support/paths.h"
 #include "tests/support/subprocess.h"
 #include "tests/unit/coordinator/scheduling/fake_tasks.h"
@@ -74,9 +75,11 @@ class Service {
     const fs::path ready = fs::path(options.folder) / "ready";
     coordinator_ = std::make_unique<Subprocess>(std::vector<std::string>{
         BinaryPath("trem-coordinator").string(), "--state", options.folder + "/state", "--store", options.folder + "/store", "--bind",
-        "tcp://127.0.0.1:*", "--ready-file", ready.string(), "--log-level", "warn"});
+        "tcp://127.0.0.1:*", "--ready-file", ready.string(), "--log-level", "warn", "--http", "127.0.0.1:0", "--die-with-parent"});
     for (int i = 0; i < 1000 && !fs::exists(ready); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    endpoint_ = FirstLine(testing::FileContents(ready));
+    const std::string text = testing::FileContents(ready);
+    endpoint_ = FirstLine(text);
+    url_ = FirstLine(text.substr(endpoint_.size() + 1));
   }
   void MeasureThroughput() const;
   void MeasureIdle() const;
@@ -84,7 +87,14 @@ class Service {
  private:
   const Options& options_;
   std::unique_ptr<Subprocess> coordinator_;
+  // The value of a metric without labels.
+  double Metric(const std::string& name) const {
+    const std::string text = testing::HttpGet(url_, "/metrics");
+    const std::size_t at = text.find("\n" + name + " ");
+    return at == std::string::npos ? 0.0 : std::stod(text.substr(at + name.size() + 2));
+  }
   std::string endpoint_;
+  std::string url_;
 };
 
 void Service::MeasureThroughput() const {
@@ -134,6 +144,9 @@ void Service::MeasureThroughput() const {
   std::printf("%.0f tasks on %d workers in %.2f s: %.0f tasks/s, each durable\n", tasks, options_.workers, seconds, tasks / seconds);
   std::printf("  CPU time a task: coordinator %.0f us, workers %.0f us; %.0f %% of one core, and %.0f %%\n", cpu / tasks * 1e6,
               worker_cpu / tasks * 1e6, cpu / seconds * 100.0, worker_cpu / seconds * 100.0);
+  const double commits = Metric("trem_store_commit_seconds_count");
+  std::printf("  %.0f commits of %.1f events, %.2f ms each on average\n", commits, Metric("trem_store_events_total") / commits,
+              Metric("trem_store_commit_seconds_sum") / commits * 1e3);
   std::printf("  coordinator's memory: %.0f MiB, %.1f MiB a 100 000 tasks done\n", ResidentMiB(coordinator_->pid()),
               ResidentMiB(coordinator_->pid()) / tasks * 1e5);
 }

@@ -11,6 +11,8 @@
 #include <thread>
 #include <utility>
 
+#include "tests/support/loopback.h"
+
 namespace trem::testing {
 namespace {
 
@@ -27,7 +29,7 @@ void Sleep(int ms) { std::this_thread::sleep_for(milliseconds(ms)); }
 }  // namespace
 
 Soak::Soak(const SoakOptions& options) : options_(options), rng_({options.seed, kStream}) {
-  endpoint_ = "ipc://" + (fixture_.folder() / "socket").string();
+  PrepareEndpoint();
   fs::create_directories(state_);
   const std::string size = "size=" + std::to_string(kStateBytes);
   can_fill_disk_ = ::mount("tmpfs", state_.c_str(), "tmpfs", 0, size.c_str()) == 0;
@@ -39,24 +41,56 @@ Soak::~Soak() {
   if (can_fill_disk_) ::umount2(state_.c_str(), MNT_DETACH);
 }
 
+// A local socket; or, with a link, an address that its other side reaches, and the keys that this takes.
+void Soak::PrepareEndpoint() {
+  link_ = NetworkLink::Make(&why_no_link_);
+  endpoint_ = "ipc://" + (fixture_.folder() / "socket").string();
+  if (!link_) return;
+  endpoint_ = "tcp://" + link_->address() + ":" + std::to_string(FreeLoopbackPort());
+  fs::create_directories(KeyPath("allowed"));
+  for (const auto& [name, role] : {std::pair("hill", "coordinator"), std::pair("fleet", "worker"), std::pair("ann", "client")}) {
+    (void)fixture_.Run({BinaryPath("trem").string(), "keys", name, "--role", role, "-o", KeyPath("").string()});
+    if (std::string(role) != "coordinator")
+      fs::copy_file(KeyPath(std::string(name) + ".pub"), KeyPath("allowed") / (std::string(name) + ".pub"));
+  }
+}
+
 void Soak::StartCoordinator() {
-  coordinator_ = std::make_unique<Subprocess>(
-      std::vector<std::string>{BinaryPath("trem-coordinator").string(), "--state", state_.string(), "--store", store_.string(), "--bind",
-                               endpoint_, "--lease-ms", "8000", "--log-level", "error"},
-      fixture_.Options());
+  std::vector<std::string> argv = {BinaryPath("trem-coordinator").string(),
+                                   "--state",
+                                   state_.string(),
+                                   "--store",
+                                   store_.string(),
+                                   "--bind",
+                                   endpoint_,
+                                   "--lease-ms",
+                                   "8000",
+                                   "--log-level",
+                                   "error"};
+  if (link_) argv.insert(argv.end(), {"--key", KeyPath("hill.key").string(), "--allow", KeyPath("allowed").string()});
+  coordinator_ = std::make_unique<Subprocess>(argv, fixture_.Options());
 }
 
 void Soak::StartWorker(int index) {
-  workers_[static_cast<std::size_t>(index)] =
-      std::make_unique<Subprocess>(std::vector<std::string>{BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_,
-                                                            "--store", store_.string(), "--log-level", "error"},
-                                   fixture_.Options());
+  const bool is_far = link_ && index % 2 == 1;
+  std::vector<std::string> argv = is_far ? link_->Prefix() : std::vector<std::string>();
+  argv.insert(argv.end(), {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--log-level", "error"});
+  if (!is_far) argv.insert(argv.end(), {"--store", store_.string()});
+  if (link_) {
+    argv.insert(argv.end(), {"--key", KeyPath("fleet.key").string(), "--coordinator-key", KeyPath("hill.pub").string(), "--source-root",
+                             fixture_.folder().path().string()});
+  }
+  workers_[static_cast<std::size_t>(index)] = std::make_unique<Subprocess>(argv, fixture_.Options());
 }
 
 Completed Soak::Trem(std::vector<std::string> arguments) const {
   arguments.insert(arguments.begin(), BinaryPath("trem").string());
   SubprocessOptions options = fixture_.Options();
   options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
+  if (link_) {
+    options.environment.push_back("TREM_KEY=" + KeyPath("ann.key").string());
+    options.environment.push_back("TREM_COORDINATOR_KEY=" + KeyPath("hill.pub").string());
+  }
   return RunProgram(arguments, std::chrono::minutes(2), options);
 }
 
@@ -95,6 +129,14 @@ void Soak::FillTheDisk() {
   Count("disk filled");
 }
 
+// Shorter than a lease, about as long as a worker may be silent, or longer than both.
+void Soak::CutTheLink() {
+  const int ms = static_cast<int>(300 + rng_.UniformIndex(5'700));
+  if (!link_->Cut()) return;
+  Sleep(ms);
+  if (link_->Mend()) Count("link cut");
+}
+
 void Soak::Disturb(Disturbance kind) {
   const auto index = static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.worker_count)));
   Subprocess& worker = *workers_[static_cast<std::size_t>(index)];
@@ -125,18 +167,22 @@ void Soak::Disturb(Disturbance kind) {
     case Disturbance::kFillDisk:
       if (can_fill_disk_) FillTheDisk();
       return;
+    case Disturbance::kCutLink:
+      if (link_) CutTheLink();
+      return;
   }
 }
 
 Soak::Disturbance Soak::NextDisturbance() {
   if (deck_.empty()) {
     // How often each comes in a round; a round holds every kind, so that a job that ends early has met all of them.
-    constexpr std::array<std::pair<Disturbance, int>, 6> kRound = {{{Disturbance::kKillWorker, 6},
+    constexpr std::array<std::pair<Disturbance, int>, 7> kRound = {{{Disturbance::kKillWorker, 6},
                                                                     {Disturbance::kKillCoordinator, 3},
                                                                     {Disturbance::kKillCompute, 2},
                                                                     {Disturbance::kStopWorker, 2},
                                                                     {Disturbance::kDamageArtefact, 2},
-                                                                    {Disturbance::kFillDisk, 1}}};
+                                                                    {Disturbance::kFillDisk, 1},
+                                                                    {Disturbance::kCutLink, 2}}};
     // The first round is one of each.
     const bool is_first = counts_.empty();
     for (const auto& [kind, times] : kRound) deck_.insert(deck_.end(), is_first ? 1 : static_cast<std::size_t>(times), kind);

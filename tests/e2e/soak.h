@@ -10,6 +10,7 @@
 
 #include "mosaic/base/rng.h"
 #include "tests/e2e/run_fixture.h"
+#include "tests/support/network_link.h"
 #include "tests/support/subprocess.h"
 
 namespace trem::testing {
@@ -27,6 +28,9 @@ struct SoakOptions {
 // The job is run once in peace, then with `worker_count` workers while a driver, from its seed, kills workers, compute processes and the
 // coordinator with SIGKILL, stops and resumes workers, damages stored artefacts and, where a small file system can be mounted, fills the
 // disk that holds the log. What was killed is started again at once. When it has disturbed often enough, the job must end by itself.
+//
+// Where network namespaces can be made, every second worker lives in one, shares no store, and talks through a cable that is cut for up to
+// six seconds at a time; everybody then has keys. Otherwise all talk over a local socket.
 class Soak {
  public:
   explicit Soak(const SoakOptions& options);
@@ -39,16 +43,21 @@ class Soak {
   const std::map<std::string, int>& counts() const { return counts_; }
   int task_count() const { return task_count_; }
   bool can_fill_disk() const { return can_fill_disk_; }
+  // Why no link is cut; empty: links are cut.
+  const std::string& why_no_link() const { return why_no_link_; }
 
  private:
   void StartCoordinator();
   void StartWorker(int index);
   Completed Trem(std::vector<std::string> arguments) const;
-  enum class Disturbance { kKillWorker, kKillCoordinator, kKillCompute, kStopWorker, kDamageArtefact, kFillDisk };
+  enum class Disturbance { kKillWorker, kKillCoordinator, kKillCompute, kStopWorker, kDamageArtefact, kFillDisk, kCutLink };
   Disturbance NextDisturbance();
   void Disturb(Disturbance kind);
   void DamageAnArtefact();
   void FillTheDisk();
+  void CutTheLink();
+  void PrepareEndpoint();
+  std::filesystem::path KeyPath(const std::string& name) const { return fixture_.folder() / "keys" / name; }
   std::string StateOfJob();
   bool AwaitEnd(std::chrono::seconds patience);
   bool AwaitWorkers(std::chrono::seconds patience) const;  // True once the coordinator lists every worker process that runs.
@@ -61,6 +70,8 @@ class Soak {
   std::filesystem::path store_ = fixture_.folder() / "store";
   std::string endpoint_;
   bool can_fill_disk_ = false;
+  std::unique_ptr<NetworkLink> link_;  // Null: there is none.
+  std::string why_no_link_;
   std::unique_ptr<Subprocess> coordinator_;
   std::vector<std::unique_ptr<Subprocess>> workers_;
   std::map<std::string, int> counts_;

@@ -7,7 +7,8 @@
 
 int main(int argc, char** argv) {
   trem::testing::SoakOptions options;
-  CLI::App app("Kills, stops, starves and lies to the processes of a job, and compares its mosaic with an undisturbed run.", "trem_soak");
+  CLI::App app("Kills, stops, starves, cuts off and lies to the processes of a job, and compares its mosaic with an undisturbed run.",
+               "trem_soak");
   app.add_option("--seed", options.seed, "Which disturbances, and when")->capture_default_str();
   app.add_option("--frames", options.frame_count, "Frames of the simulated sortie")->capture_default_str();
   app.add_option("--workers", options.worker_count, "Worker processes")->check(CLI::Range(1, 64))->capture_default_str();
@@ -25,6 +26,7 @@ int main(int argc, char** argv) {
             << elapsed.count() << " s\n";
   for (const auto& [what, count] : soak.counts()) std::cout << "  " << what << ": " << count << "\n";
   if (!soak.can_fill_disk()) std::cout << "  the disk was not filled: no file system can be mounted here\n";
+  if (!soak.why_no_link().empty()) std::cout << "  no link was cut: no network namespace can be made here: " << soak.why_no_link() << "\n";
   for (const std::string& fault : faults) std::cout << "FAILED: " << fault << "\n";
   if (faults.empty()) std::cout << "the mosaic and its siblings are byte-identical to the undisturbed run\n";
   return faults.empty() ? 0 : 1;

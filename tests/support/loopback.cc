@@ -23,6 +23,18 @@ int ConnectLoopback(const std::string& url) {
   return fd;
 }
 
+int FreeLoopbackPort() {
+  const int fd = ::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof address;
+  TREM_CHECK(::bind(fd, reinterpret_cast<const sockaddr*>(&address), size) == 0);
+  TREM_CHECK(::getsockname(fd, reinterpret_cast<sockaddr*>(&address), &size) == 0);
+  ::close(fd);
+  return ntohs(address.sin_port);
+}
+
 std::string Exchange(const std::string& url, const std::string& request) {
   const int fd = ConnectLoopback(url);
   (void)!::send(fd, request.data(), request.size(), MSG_NOSIGNAL);

@@ -9,6 +9,9 @@ namespace trem::testing {
 // there is none. Receiving gives up after 20 s. The caller closes it.
 int ConnectLoopback(const std::string& url);
 
+// A TCP port that nothing listened at a moment ago.
+int FreeLoopbackPort();
+
 // Sends `request` and returns everything that comes back until the other side closes.
 std::string Exchange(const std::string& url, const std::string& request);
 

@@ -6,6 +6,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <map>
+#include <string>
 
 #include "mosaic/base/digest.h"
 #include "mosaic/base/version.h"
@@ -223,6 +225,24 @@ TEST_F(ShellTest, TakesNothingInWhileTheDiskIsFullAndGoesOnWhenThereIsRoom) {
   EXPECT_EQ(Say("client", Submit("another")).back().second.job_status().state(), v1::JOB_RUNNING);
   Start();
   EXPECT_EQ(Say("client", GetJob(waiting))[0].second.job_status().state(), v1::JOB_RUNNING);
+}
+
+TEST_F(ShellTest, ALargerFleetSaysLessOftenThatItIsAliveAndIsGivenMoreTime) {
+  ShellOptions options;
+  options.heartbeat_fleet_step = 2;
+  Start({}, options);
+  EXPECT_EQ(Say("peer-1", Hello("w1")).back().second.welcome().heartbeat_interval_ms(), 500U);
+  std::map<std::string, std::uint32_t> told;
+  for (const auto& [peer, envelope] : Say("peer-2", Hello("w2"))) told[peer] = envelope.welcome().heartbeat_interval_ms();
+  EXPECT_EQ(told, (std::map<std::string, std::uint32_t>{{"peer-1", 1'000}, {"peer-2", 1'000}})) << "all have to judge a silence alike";
+  now_ms += 6'000;  // Too long for a fleet of one.
+  shell->Tick(now_ms);
+  v1::Envelope question;
+  question.mutable_list_workers();
+  EXPECT_EQ(Say("client", question).back().second.worker_list().workers_size(), 2);
+  now_ms += 3'000;
+  shell->Tick(now_ms);
+  EXPECT_EQ(Say("client", question).back().second.worker_list().workers_size(), 0);
 }
 
 TEST_F(ShellTest, KeepsALogOfEachJobWithWhatWorkersWroteToStderr) {
