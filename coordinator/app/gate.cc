@@ -35,6 +35,7 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kListJobs:
     case v1::Envelope::kCancelJob:
     case v1::Envelope::kRetryJob:
+    case v1::Envelope::kRemoveJob:
     case v1::Envelope::kListWorkers:
     case v1::Envelope::kGetLog:
       return asks;

@@ -3,6 +3,8 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <fmt/format.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
@@ -13,12 +15,15 @@
 #include <memory>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include "coordinator/app/gate.h"
 #include "coordinator/app/monitoring.h"
 #include "coordinator/app/restore_command.h"
 #include "coordinator/app/shell.h"
 #include "coordinator/data/artefact_server.h"
+#include "coordinator/data/garbage_collector.h"
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
 #include "mosaic/base/log.h"
@@ -71,8 +76,9 @@ void Describe(CLI::App* app, CommandLine* options) {
       "--data-bind", options->data_endpoint,
       "Endpoint of the data lane, for workers and clients that do not share the store; none: no such lane. Default: beside --bind, "
       "on any free port");
-  app->add_option("--store-bytes-max", options->data.store_bytes_max,
-                  "Refuse what would make the store larger on the data lane (0: no limit)")
+  app->add_option(
+         "--store-bytes-max", options->data.store_bytes_max,
+         "Limit of the artefact store: what would make it larger is refused on the data lane, and new jobs while it is larger (0: none)")
       ->capture_default_str();
   app->add_option("--key", options->key_path,
                   "Secret key file of this coordinator (`trem keys`); then only peers with an allowed key get in");
@@ -186,7 +192,72 @@ v1::Envelope DataLaneAnswer(const ArtefactServer* data_lane) {
   return answer;
 }
 
-Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate, Shell* shell, Monitoring* monitoring) {
+// Whether what is in the store is this coordinator's to judge. The first one to use a store leaves its state folder's name in it: another's
+// log knows nothing of what the first one's jobs have.
+bool OwnsStore(const ArtefactStore& artefacts, const std::filesystem::path& state_folder) {
+  constexpr std::uint64_t kNoteBytesMax = 8192;
+  const std::filesystem::path note = artefacts.root() / "owner";
+  const std::string self = state_folder.string() + "\n";
+  std::error_code error;
+  const bool is_new = !std::filesystem::exists(note, error);
+  const Status written = is_new ? WriteFileAtomically(note, self) : Status();
+  const Result<std::string> owner = written.ok() ? ReadFile(note, kNoteBytesMax) : Result<std::string>(written);
+  if (owner.ok() && *owner == self) return true;
+  spdlog::warn("the artefact store {} is not swept: {}", artefacts.root().string(),
+               owner.ok()
+                   ? "it belongs to the coordinator of another state folder, says " + note.string() + "; remove that file if it does not"
+                   : owner.status().message());
+  return false;
+}
+
+// Sweeps the store now and then, and after a job was removed.
+class StoreKeeper {
+ public:
+  StoreKeeper(const CommandLine& options, const ArtefactStore& artefacts, ArtefactServer* data_lane)
+      : bytes_max_(options.data.store_bytes_max), data_lane_(data_lane), collector_(artefacts, {}) {}
+
+  void Tend(TimeMs now_ms, Shell* shell) {
+    if (std::vector<std::string> released = shell->TakeReleased(); !released.empty()) {
+      released_.insert(released_.end(), released.begin(), released.end());
+      next_ms_ = std::min(next_ms_, now_ms + kSweepDelayMs);
+      has_released_ = true;
+    }
+    if (now_ms >= next_ms_) {
+      // What was too young to be removed with its job is old enough soon.
+      next_ms_ = now_ms + (has_released_ ? kSweepAgainMs : kSweepIntervalMs);
+      has_released_ = false;
+      Result<std::vector<std::string>> in_use = shell->ArtefactsInUse();
+      if (in_use.ok()) {
+        collector_.Begin(*std::move(in_use), std::exchange(released_, {}));
+      } else {
+        spdlog::warn("the artefact store is not swept: {}", in_use.status().message());
+      }
+    }
+    const auto report = collector_.TakeReport();
+    if (!report) return;
+    if (data_lane_ != nullptr) data_lane_->set_store_bytes(report->bytes);
+    const bool is_over = bytes_max_ > 0 && report->bytes > bytes_max_;
+    shell->RefuseJobs(is_over ? fmt::format("the artefact store holds {} of at most {} bytes; remove jobs that are not needed any more "
+                                            "(trem remove), or raise --store-bytes-max",
+                                            report->bytes, bytes_max_)
+                              : "");
+  }
+
+ private:
+  static constexpr TimeMs kSweepIntervalMs = 3'600'000;
+  static constexpr TimeMs kSweepAgainMs = 120'000;
+  static constexpr TimeMs kSweepDelayMs = 1000;  // Several jobs are often removed one after the other.
+
+  std::uint64_t bytes_max_;
+  ArtefactServer* data_lane_;
+  TimeMs next_ms_ = 0;
+  bool has_released_ = false;
+  std::vector<std::string> released_;
+  GarbageCollector collector_;
+};
+
+Status Serve(const ArtefactServer* data_lane, StoreKeeper* keeper, RouterChannel* channel, Gate* gate, Shell* shell,
+             Monitoring* monitoring) {
   TimeMs last_tick_ms = 0;
   bool is_busy = false;  // There is something to go on with when nobody asks for anything.
   while (!stop_requested && !shell->shutdown_requested()) {
@@ -217,6 +288,7 @@ Status Serve(const ArtefactServer* data_lane, RouterChannel* channel, Gate* gate
     monitoring->BeginCommit();
     TREM_RETURN_IF_ERROR(shell->Flush());
     is_busy = shell->Maintain();
+    if (keeper != nullptr) keeper->Tend(now_ms, shell);
     monitoring->Observe(now_ms, *channel, *gate, shell->scheduler());
   }
   return {};
@@ -237,6 +309,9 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   if (is_elsewhere) shell_options.store_elsewhere = options.store_folder;
   const std::filesystem::path state_folder = std::filesystem::absolute(options.state_folder).lexically_normal();
   shell_options.job_log_folder = state_folder / "logs";
+  // A store elsewhere is not this process' to sweep, either.
+  const bool is_own = !is_elsewhere && OwnsStore(artefacts, state_folder);
+  const auto keeper = is_own ? std::make_unique<StoreKeeper>(options, artefacts, data_lane.get()) : nullptr;
   shell_options.backup_folder = options.backup_folder.empty() ? state_folder / "backups" : std::filesystem::absolute(options.backup_folder);
   shell_options.wall_clock_ms = WallClockMs;
   shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
@@ -253,7 +328,7 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   Status status;
   monitoring->BecomeReady();
   if (!options.ready_file.empty()) status = WriteFileAtomically(options.ready_file, channel->endpoint() + "\n" + monitoring->url() + "\n");
-  if (status.ok()) status = Serve(data_lane.get(), channel.get(), &gate, shell.get(), monitoring.get());
+  if (status.ok()) status = Serve(data_lane.get(), keeper.get(), channel.get(), &gate, shell.get(), monitoring.get());
   channel_to_wake = nullptr;
   if (status.ok()) spdlog::info("stopped; everything that was acknowledged is in the log");
   return status;

@@ -77,8 +77,10 @@ Status Shell::Replay() {
 }
 
 void Shell::CompactWhenLong() {
-  if (events_->event_count() <= std::max(options_.compact_after_events, 2 * events_->snapshot_count())) return;
-  if (!events_->is_compacting()) events_->BeginCompaction(scheduler_.BeginSnapshot());
+  const bool is_long = events_->event_count() > std::max(options_.compact_after_events, 2 * events_->snapshot_count());
+  if ((!is_long && !compact_next_) || events_->is_compacting()) return;
+  compact_next_ = false;
+  events_->BeginCompaction(scheduler_.BeginSnapshot());
 }
 
 bool Shell::ArtefactsArePresent(const v1::TaskCommitted& committed) const {
@@ -203,6 +205,8 @@ void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& 
       return ReplyJobList(peer);
     case v1::Envelope::kCancelJob:
       return OnCancelJob(now_ms, peer, envelope.cancel_job());
+    case v1::Envelope::kRemoveJob:
+      return OnRemoveJob(now_ms, peer, envelope.remove_job());
     case v1::Envelope::kRetryJob:
       Feed(now_ms, RetryJobEvent{envelope.retry_job().job_id()});
       return ReplyJobStatus(peer, envelope.retry_job().job_id());
@@ -325,6 +329,7 @@ void Shell::OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::Submit
     return Refuse(peer, Exhausted("user '" + submit.user() + "' has " + std::to_string(options_.user_jobs_max) +
                                   " jobs running, which is the limit; submit it again when one has ended"));
   }
+  if (known == nullptr && !no_jobs_because_.empty()) return Refuse(peer, Exhausted(no_jobs_because_));
   Feed(now_ms, SubmitJobEvent{submit.job_id(), sortie, submit.user(), submit.priority()});
   ReplyJobStatus(peer, submit.job_id());
 }

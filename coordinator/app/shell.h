@@ -74,6 +74,13 @@ class Shell {
   bool shutdown_requested() const { return shutdown_requested_; }
   // Goes on with what is done a little at a time (a backup, a new snapshot). True while something is left: call it again soon.
   bool Maintain();
+  // Digests of all artefacts that some job has made or was submitted with, in any order. An upload's list that cannot be read is an error:
+  // what it names is not known.
+  Result<std::vector<std::string>> ArtefactsInUse() const;
+  // What was in use when jobs were removed since the last call; empty: none was.
+  std::vector<std::string> TakeReleased() { return std::exchange(released_, {}); }
+  // Refuses new jobs for this reason; empty: takes them again.
+  void RefuseJobs(std::string reason) { no_jobs_because_ = std::move(reason); }
   // The disk that holds the log is full.
   bool is_full() const { return is_full_; }
 
@@ -100,6 +107,7 @@ class Shell {
   void OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
   void OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::SubmitJob& submit);
   void OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel);
+  void OnRemoveJob(TimeMs now_ms, const std::string& peer, const v1::RemoveJob& remove);
   void OnDrainWorker(TimeMs now_ms, const std::string& peer, const v1::DrainWorker& drain);
   void OnListWorkers(TimeMs now_ms, const std::string& peer);
   void ReplyJobStatus(const std::string& peer, const std::string& job_id);
@@ -133,6 +141,9 @@ class Shell {
   std::unique_ptr<JobLog> job_log_;  // May be null.
   bool shutdown_requested_ = false;
   bool is_full_ = false;
+  bool compact_next_ = false;  // However short the log is.
+  std::vector<std::string> released_;
+  std::string no_jobs_because_;
 };
 
 }  // namespace trem

@@ -1,10 +1,13 @@
 // The part of Shell that serves operators: logs of jobs, backups.
 #include <fmt/format.h>
 
+#include <set>
 #include <utility>
 
 #include "coordinator/app/shell.h"
 #include "mosaic/base/log.h"
+#include "proto/codec/sortie_paths.h"
+#include "proto/codec/upload.h"
 
 namespace trem {
 
@@ -84,6 +87,52 @@ bool Shell::Maintain() {
     spdlog::info("the log of {} events became a snapshot of {} and {} events", before, events_->snapshot_count(), events_->event_count());
   }
   return *more;
+}
+
+void Shell::OnRemoveJob(TimeMs now_ms, const std::string& peer, const v1::RemoveJob& remove) {
+  const auto status = scheduler_.JobStatus(remove.job_id());
+  if (!status.has_value()) return Refuse(peer, NotFound("there is no job '" + remove.job_id() + "'; `trem list` shows all"));
+  if (status->state() == v1::JOB_RUNNING) {
+    return Refuse(peer, InvalidInput("job '" + remove.job_id() + "' is running; cancel it first"));
+  }
+  if (options_.store_elsewhere.empty()) {
+    Result<std::vector<std::string>> in_use = ArtefactsInUse();
+    // When not all of it is known, what the job had goes with what nobody has claimed for a day.
+    if (in_use.ok()) released_.insert(released_.end(), in_use->begin(), in_use->end());
+  }
+  Feed(now_ms, RemoveJobEvent{remove.job_id()});
+  // The log would go on telling of artefacts that are no longer there.
+  compact_next_ = true;
+  v1::Envelope reply;
+  reply.mutable_bye();
+  SendTo(peer, std::move(reply));
+}
+
+Result<std::vector<std::string>> Shell::ArtefactsInUse() const {
+  constexpr std::uint64_t kListBytesMax = std::uint64_t{256} << 20;
+  std::vector<std::string> in_use;
+  std::set<std::string> lists;
+  Status failure;
+  scheduler_.VisitInUse([&](const v1::ArtefactRef& artefact) { in_use.push_back(artefact.sha256()); },
+                        [&](const v1::Sortie& sortie) {
+                          v1::Sortie named = sortie;
+                          for (const SortiePath& entry : PathsOf(&named)) {
+                            const auto list = UploadOfPath(*entry.path);
+                            if (!list || !lists.insert(list->sha256).second) continue;
+                            in_use.push_back(list->sha256);
+                            const auto bytes = artefacts_.ReadVerified(*list, kListBytesMax);
+                            v1::UploadList files;
+                            // One that is gone names nothing that anybody could read.
+                            if (bytes.status().code() == StatusCode::kNotFound) continue;
+                            if (!bytes.ok() || !files.ParseFromString(*bytes)) {
+                              failure = Corrupt("the list of files of an upload, " + list->sha256 + ", cannot be read");
+                              continue;
+                            }
+                            for (const v1::UploadedFile& file : files.files()) in_use.push_back(file.sha256());
+                          }
+                        });
+  if (!failure.ok()) return failure;
+  return in_use;
 }
 
 }  // namespace trem

@@ -262,6 +262,7 @@ void AddJobCommands(CLI::App* app, Request* request) {
       {"watch", "Show a job's progress until it ends", RunWatchCommand},
       {"cancel", "Stop a job", RunCancelCommand},
       {"retry", "Take up what failed of a job; what is done stays done", RunRetryCommand},
+      {"remove", "Forget a job that has ended, with its results in the artefact store", RunRemoveCommand},
   };
   for (const JobCommand& entry : kCommands) {
     CLI::App* command = AddRemoteCommand(app, request, entry.name, entry.description);

@@ -246,6 +246,16 @@ int RunRetryCommand(const RemoteOptions& remote, const std::string& job_id) {
   return AskAboutJob(remote, job_id, question);
 }
 
+int RunRemoveCommand(const RemoteOptions& remote, const std::string& job_id) {
+  if (const Status status = CheckJobId(job_id); !status.ok()) return ReportFailure(status);
+  v1::Envelope question;
+  question.mutable_remove_job()->set_job_id(job_id);
+  const Result<v1::Envelope> answer = MakeClient(remote).Ask(question);
+  if (!answer.ok()) return ReportFailure(answer.status());
+  if (!remote.quiet && !remote.json) fmt::print("job {} is forgotten; what only it had leaves the artefact store within minutes\n", job_id);
+  return kExitDone;
+}
+
 int RunDrainCommand(const RemoteOptions& remote, const std::string& worker_id) {
   if (!IsWorkerId(worker_id)) return ReportFailure(InvalidInput("'" + worker_id + "' is not a worker's id; 'trem workers' shows them"));
   v1::Envelope question;

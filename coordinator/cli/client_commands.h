@@ -25,6 +25,7 @@ int RunWatchCommand(const RemoteOptions& remote, const std::string& job_id);
 int RunCancelCommand(const RemoteOptions& remote, const std::string& job_id);
 // Takes up what failed of a job; what is done stays done.
 int RunRetryCommand(const RemoteOptions& remote, const std::string& job_id);
+int RunRemoveCommand(const RemoteOptions& remote, const std::string& job_id);
 // The worker gets nothing new and leaves when it has finished what it runs.
 int RunDrainCommand(const RemoteOptions& remote, const std::string& worker_id);
 // `store`: the artefact store as this machine sees it; empty: the results come in chunks from the coordinator.

@@ -163,6 +163,7 @@ Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::Pu
   reply->set_sha256(put.sha256());
   const auto known = uploads_.find(put.sha256());
   if (known == uploads_.end() && IsStored(put)) {
+    store_.Touch(put.sha256());
     reply->set_next_offset(put.bytes());
     reply->set_is_stored(true);
     return answer;

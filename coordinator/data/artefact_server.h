@@ -31,6 +31,8 @@ class ArtefactServer {
   ArtefactServer& operator=(const ArtefactServer&) = delete;
 
   const std::string& endpoint() const { return channel_->endpoint(); }
+  // What a count of the store has found. From any thread.
+  void set_store_bytes(std::uint64_t bytes) { store_bytes_ = bytes; }
   // Bytes of artefacts handed out and taken in so far.
   std::uint64_t bytes_sent() const { return bytes_sent_; }
   std::uint64_t bytes_received() const { return bytes_received_; }
@@ -62,8 +64,8 @@ class ArtefactServer {
   std::unique_ptr<RouterChannel> channel_;
   ArtefactStore store_;
   ArtefactServerOptions options_;
-  std::map<std::string, Upload> uploads_;  // By digest.
-  std::uint64_t store_bytes_ = 0;          // As known here: counted at the start, and what came in since.
+  std::map<std::string, Upload> uploads_;      // By digest.
+  std::atomic<std::uint64_t> store_bytes_{0};  // As known here: counted at the start and by sweeps, and what came in since.
   std::atomic<bool> stop_{false};
   std::atomic<std::uint64_t> bytes_sent_{0};
   std::atomic<std::uint64_t> bytes_received_{0};

@@ -39,6 +39,11 @@ struct RetryJobEvent {
 struct CancelJobEvent {
   std::string job_id;
 };
+// Forgets a job that has ended, and every result that no other job has used; nothing for one that runs. A later job that wants such a
+// result has it computed again.
+struct RemoveJobEvent {
+  std::string job_id;
+};
 // A worker's first message, and again after every reconnect. `running` is everything it computes or keeps a result of.
 struct WorkerHelloEvent {
   std::string worker_id;
@@ -78,8 +83,8 @@ struct TaskDoneEvent {
 // Time has passed. Leases end only here, so a shell that was itself stopped for a while can deliver the Progress that waited first.
 struct TickEvent {};
 
-using Event = std::variant<SubmitJobEvent, RetryJobEvent, CancelJobEvent, WorkerHelloEvent, WorkerLostEvent, WorkerGoodbyeEvent,
-                           DrainWorkerEvent, ProgressEvent, TaskDoneEvent, TickEvent>;
+using Event = std::variant<SubmitJobEvent, RetryJobEvent, CancelJobEvent, RemoveJobEvent, WorkerHelloEvent, WorkerLostEvent,
+                           WorkerGoodbyeEvent, DrainWorkerEvent, ProgressEvent, TaskDoneEvent, TickEvent>;
 
 // ---- What the shell has to do about it ------------------------------------------------------------------------------------------
 

@@ -75,6 +75,9 @@ class Scheduler {
   std::vector<v1::WorkerStatus> WorkerStatuses() const;
   // The sortie a job was submitted with; null: no such job.
   const v1::Sortie* FindSortie(const std::string& job_id) const;
+  // Calls `visit` on every artefact that some job has, and `visit_sortie` on what every job was submitted with.
+  void VisitInUse(const std::function<void(const v1::ArtefactRef&)>& visit,
+                  const std::function<void(const v1::Sortie&)>& visit_sortie) const;
   // How many jobs of this user are running.
   std::uint32_t RunningJobCount(const std::string& user) const;
   // Committed results: key -> result.
@@ -171,6 +174,7 @@ class Scheduler {
   void On(const SubmitJobEvent& event);
   void On(const RetryJobEvent& event);
   void On(const CancelJobEvent& event);
+  void On(const RemoveJobEvent& event);
   void On(const WorkerHelloEvent& event);
   void On(const WorkerLostEvent& event);
   void On(const WorkerGoodbyeEvent& event);
@@ -189,6 +193,7 @@ class Scheduler {
   void Unfold(JobNumber number, Result<std::vector<PlannedTask>> planned, Completions* completions);
   void EndJob(JobNumber number, v1::JobState state, const Status& error);
   void FailJob(JobNumber number, const Status& error);
+  void ForgetJob(JobNumber number);
   void GiveUp(TaskIndex index, const Status& reason);
   void MakeHole(JobNumber number, const TaskPlace& place, const Status& reason);
   bool RepairInputs(TaskIndex index, const std::vector<std::string>& bad_artefacts);
@@ -266,6 +271,7 @@ class Scheduler {
 
   std::map<JobNumber, Job> jobs_;
   std::map<std::string, JobNumber> job_numbers_;
+  JobNumber next_job_number_ = 0;
   std::deque<Task> tasks_;                                        // Grows only; addresses are stable.
   std::unordered_map<std::string_view, TaskIndex> task_indices_;  // Views of tasks_[i].key. Never iterated: its order is not defined.
   std::map<std::string, Worker> workers_;

@@ -55,7 +55,9 @@ void Scheduler::AppendSubmitted(const std::string& job_id, const v1::Sortie& sor
 }
 
 void Scheduler::StartJob(const v1::JobSubmitted& submitted) {
-  const JobNumber number = job_numbers_.try_emplace(submitted.job_id(), job_numbers_.size()).first->second;
+  const auto [known, is_new] = job_numbers_.try_emplace(submitted.job_id(), next_job_number_);
+  next_job_number_ += is_new ? 1 : 0;
+  const JobNumber number = known->second;
   Job& job = jobs_[number];
   job = Job();
   job.id = submitted.job_id();
@@ -238,6 +240,33 @@ void Scheduler::On(const CancelJobEvent& event) {
   log.mutable_job_cancelled()->set_job_id(event.job_id);
   Append(std::move(log));
   EndJob(number->second, v1::JOB_CANCELLED, {});
+}
+
+void Scheduler::On(const RemoveJobEvent& event) {
+  const auto number = job_numbers_.find(event.job_id);
+  if (number == job_numbers_.end() || jobs_.at(number->second).state == v1::JOB_RUNNING) return;
+  v1::LogEvent log;
+  log.mutable_job_removed()->set_job_id(event.job_id);
+  Append(std::move(log));
+  ForgetJob(number->second);
+}
+
+// Every result is looked at: those that an earlier shape of the job has used are not among its tasks any more.
+void Scheduler::ForgetJob(JobNumber number) {
+  const auto let_go = [number](std::unique_ptr<Finished>* finished) {
+    if (*finished == nullptr) return;
+    std::erase_if((*finished)->used_by, [number](const JobPlace& place) { return place.job == number; });
+  };
+  for (Task& task : tasks_) {
+    let_go(&task.damaged);
+    let_go(&task.finished);
+    if (task.finished == nullptr || !task.finished->used_by.empty()) continue;
+    task.finished.reset();
+    task.state = TaskState::kIdle;  // Its number stays: it fences whoever may still be at it.
+    differed_.erase(task.key);
+  }
+  job_numbers_.erase(jobs_.at(number).id);
+  jobs_.erase(number);
 }
 
 // Ends a running job and lets go of its tasks; those that no other job wants are taken back.

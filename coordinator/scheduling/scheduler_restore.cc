@@ -27,6 +27,12 @@ Status Scheduler::Restore(const v1::LogEvent& event) {
       EndJob(number, v1::JOB_CANCELLED, {});
       break;
     }
+    case v1::LogEvent::kJobRemoved: {
+      TREM_ASSIGN_OR_RETURN(const JobNumber number, number_of(event.job_removed().job_id()));
+      EndJob(number, v1::JOB_CANCELLED, {});  // Its artefacts are gone, so it has not come to its end here.
+      ForgetJob(number);
+      break;
+    }
     case v1::LogEvent::kJobFailed: {
       TREM_ASSIGN_OR_RETURN(const JobNumber number, number_of(event.job_failed().job_id()));
       EndJob(number, v1::JOB_FAILED, Status(static_cast<StatusCode>(event.job_failed().status_code()), event.job_failed().message()));

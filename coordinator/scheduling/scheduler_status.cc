@@ -131,4 +131,15 @@ const v1::TaskResult* Scheduler::FindResult(const std::string& task_key) const {
   return index == kNoTask || tasks_[index].finished == nullptr ? nullptr : &tasks_[index].finished->task->result;
 }
 
+void Scheduler::VisitInUse(const std::function<void(const v1::ArtefactRef&)>& visit,
+                           const std::function<void(const v1::Sortie&)>& visit_sortie) const {
+  for (const Task& task : tasks_) {
+    for (const std::unique_ptr<Finished>* finished : {&task.finished, &task.damaged}) {
+      if (*finished == nullptr) continue;
+      for (const v1::ArtefactRef& output : (*finished)->task->result.outputs()) visit(output);
+    }
+  }
+  for (const auto& [number, job] : jobs_) visit_sortie(job.graph->sortie());
+}
+
 }  // namespace trem

@@ -37,6 +37,8 @@ Status Check(const v1::LogEvent& event) {
   switch (event.body_case()) {
     case v1::LogEvent::kJobSubmitted:
       return event.job_submitted().has_sortie() ? CheckJob(event.job_submitted().job_id()) : Corrupt("it has no sortie");
+    case v1::LogEvent::kJobRemoved:
+      return CheckJob(event.job_removed().job_id());
     case v1::LogEvent::kJobCancelled:
       return CheckJob(event.job_cancelled().job_id());
     case v1::LogEvent::kJobFailed:

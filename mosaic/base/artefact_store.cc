@@ -125,12 +125,18 @@ Result<ArtefactRef> ArtefactStore::PutHashed(const std::string& name, const std:
   // Other bytes under this name are damage, not this artefact: the rename puts the good ones in their place.
   if (Holds(object, bytes, sha256)) {
     fs::remove(temporary, error);
+    Touch(sha256);  // A sweep spares it until it is in use.
   } else {
     TREM_RETURN_IF_ERROR(PublishFile(temporary, object));
   }
   const ArtefactRef ref{name, sha256, bytes};
   if (backing_) TREM_RETURN_IF_ERROR(backing_->Deliver(ref, object));
   return ref;
+}
+
+void ArtefactStore::Touch(const std::string& sha256) const {
+  std::error_code ignored;
+  fs::last_write_time(ObjectPath(sha256), fs::file_time_type::clock::now(), ignored);
 }
 
 Result<ArtefactRef> ArtefactStore::PutBytes(const std::string& name, std::string_view bytes) const {
@@ -146,7 +152,7 @@ Result<fs::path> ArtefactStore::Locate(const ArtefactRef& ref) const {
   if (fs::is_symlink(object, error)) return Corrupt("artefact " + ref.name + " (" + object.string() + ") is a link; expected a file");
   if (backing_) {
     if (fs::file_size(object, error) != ref.bytes || error) TREM_RETURN_IF_ERROR(FetchMissing(ref));
-    fs::last_write_time(object, fs::file_time_type::clock::now(), error);  // Used just now: Trim spares it.
+    Touch(ref.sha256);  // Used just now: Trim spares it.
   }
   const std::uint64_t bytes = fs::file_size(object, error);
   if (error) return NotFound("artefact " + ref.name + " (" + object.string() + "): " + error.message());

@@ -59,6 +59,8 @@ class ArtefactStore {
   Result<std::filesystem::path> Locate(const ArtefactRef& ref) const;
   // Where the object of this digest is, whatever its size, which goes to `bytes`. Does not ask a backing.
   Result<std::filesystem::path> Find(const std::string& sha256, std::uint64_t* bytes) const;
+  // Makes the object as young as if it had just been put, where it is there.
+  void Touch(const std::string& sha256) const;
   // Reads an object and verifies its digest; kCorrupt when it differs. Of a cache, an object that was damaged here is fetched again.
   Result<std::string> ReadVerified(const ArtefactRef& ref, std::uint64_t max_bytes) const;
   // Digest check of an object without keeping it in memory; a cache mends itself, as above.

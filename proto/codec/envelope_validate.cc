@@ -303,6 +303,8 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return CheckJobId(envelope.retry_job().job_id());
     case v1::Envelope::kDrainWorker:
       return CheckWorkerId(envelope.drain_worker().worker_id());
+    case v1::Envelope::kRemoveJob:
+      return CheckJobId(envelope.remove_job().job_id());
     case v1::Envelope::kCancelJob:
       return CheckJobId(envelope.cancel_job().job_id());
     case v1::Envelope::kJobStatus:

@@ -152,6 +152,46 @@ TEST_F(RemoteTest, UploadsASortieThatTheWorkersCannotRead) {
   EXPECT_EQ(FileContents(out / "uploaded.tif"), FileContents(out / "local.tif"));
 }
 
+// What only a removed job had leaves the store, what another job has stays, and neither comes back with a restart.
+TEST_F(RemoteTest, RemovesAJobAndWhatOnlyItHad) {
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  Subprocess worker({BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()},
+                    fixture_.Options());
+  const std::string spec = (sortie / "sortie.textproto").string();
+  ASSERT_EQ(Trem({"submit", spec, "--job-id", "kept"}).exit_code, 0);
+  ASSERT_EQ(Trem({"submit", spec, "--job-id", "gone", "--set", "mosaic.estimator=median"}).exit_code, 0);
+  EXPECT_NE(Trem({"remove", "gone"}).exit_code, 0) << "it runs";
+  ASSERT_EQ(Trem({"watch", "kept"}).exit_code, 0);
+  ASSERT_EQ(Trem({"watch", "gone"}).exit_code, 0);
+  const auto objects = [&] {
+    std::vector<fs::path> found;
+    for (const auto& entry : fs::recursive_directory_iterator(store_ / "objects")) {
+      if (entry.is_regular_file()) found.push_back(entry.path());
+    }
+    return found;
+  };
+  const std::size_t before = objects().size();
+  for (const fs::path& object : objects()) fs::last_write_time(object, fs::file_time_type::clock::now() - std::chrono::hours(1));
+  const Completed removed = Trem({"remove", "gone"});
+  ASSERT_EQ(removed.exit_code, 0) << removed.stderr_text;
+  for (int i = 0; i < 3000 && objects().size() == before; ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_LT(objects().size(), before);
+  EXPECT_THAT(Trem({"status", "gone"}).stderr_text, HasSubstr("no job"));
+  EXPECT_NE(Trem({"remove", "gone"}).exit_code, 0);
+  const fs::path out = fixture_.NewFolder("out");
+  EXPECT_EQ(Trem({"fetch", "kept", "-o", (out / "kept.tif").string()}).exit_code, 0);
+
+  coordinator_.Signal(SIGTERM);
+  ASSERT_TRUE(coordinator_.Wait(std::chrono::seconds(30)).has_value());
+  fs::remove(ready_);
+  const Subprocess again({BinaryPath("trem-coordinator").string(), "--state", (fixture_.folder() / "state").string(), "--store",
+                          store_.string(), "--bind", endpoint_, "--ready-file", ready_.string()},
+                         fixture_.Options());
+  for (int i = 0; i < 2000 && !fs::exists(ready_); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_THAT(Trem({"status", "gone"}).stderr_text, HasSubstr("no job"));
+  EXPECT_EQ(nlohmann::json::parse(Trem({"status", "kept", "--json"}).stdout_text)["state"], "done");
+}
+
 TEST_F(RemoteTest, TheDoctorFindsACoordinatorAndItsAbsence) {
   const Completed well = Trem({"doctor", "--json"});
   const auto findings = nlohmann::json::parse(well.stdout_text);

@@ -3,6 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <iterator>
+#include <set>
+
 #include "coordinator/scheduling/scheduler.h"
 #include "tests/unit/coordinator/scheduling/fake_tasks.h"
 
@@ -123,6 +127,72 @@ TEST(RecoveryTest, RunsATaskAgainWhoseArtefactsAreGoneAndReusesTheRest) {
   EXPECT_EQ(again[0].task.key(), lost_key);
   EXPECT_EQ(again[0].attempt, 2U);
   EXPECT_EQ(bench.Status("job").state(), v1::JOB_DONE);
+}
+
+std::set<std::string> ArtefactsInUse(const Scheduler& scheduler) {
+  std::set<std::string> digests;
+  scheduler.VisitInUse([&](const v1::ArtefactRef& artefact) { digests.insert(artefact.sha256()); }, [](const v1::Sortie&) {});
+  return digests;
+}
+
+TEST(RecoveryTest, ARemovedJobIsForgottenWithWhatOnlyItHad) {
+  Bench bench;
+  bench.Hello("w1");
+  for (const char* job : {"a", "b"}) bench.RunAll(bench.Submit(job));
+  const std::set<std::string> shared = ArtefactsInUse(bench.scheduler);
+  const auto others = bench.RunAll(bench.Submit("c", "other"));
+  const std::set<std::string> all = ArtefactsInUse(bench.scheduler);
+  ASSERT_GT(shared.size(), 2U);
+  ASSERT_GT(all.size(), shared.size());
+  for (const bool restarts : {false, true}) {
+    SCOPED_TRACE(restarts);
+    bench.Step(RemoveJobEvent{"a"});
+    if (restarts) bench.Restart();
+    EXPECT_FALSE(bench.scheduler.JobStatus("a").has_value());
+    EXPECT_EQ(bench.Status("b").state(), v1::JOB_DONE);
+    EXPECT_EQ(ArtefactsInUse(bench.scheduler), all) << "b and c have them";
+    bench.Step(RemoveJobEvent{"b"});
+    if (restarts) bench.Restart();
+    std::set<std::string> left;
+    std::set_difference(all.begin(), all.end(), shared.begin(), shared.end(), std::inserter(left, left.end()));
+    EXPECT_EQ(ArtefactsInUse(bench.scheduler), left);
+    EXPECT_EQ(bench.Status("c").state(), v1::JOB_DONE);
+    // Made anew, under new numbers.
+    bench.Hello("w1");
+    const auto again = bench.RunAll(bench.Submit("a"));
+    EXPECT_EQ(again.size(), others.size());
+    for (const DispatchEffect& dispatch : again) EXPECT_GE(dispatch.attempt, 2U);
+    bench.RunAll(bench.Submit("b"));
+    EXPECT_EQ(ArtefactsInUse(bench.scheduler), all);
+  }
+}
+
+// Its artefacts are gone by then, so that its tasks are left out when the log is read.
+TEST(RecoveryTest, ARemovedJobStaysForgottenThoughTheLogStillTellsOfIt) {
+  Bench bench;
+  bench.Hello("w1");
+  const auto done = bench.RunAll(bench.Submit("job"));
+  bench.RunAll(bench.Submit("kept", "other"));
+  bench.Step(RemoveJobEvent{"job"});
+  std::vector<std::string> gone;
+  for (const DispatchEffect& dispatch : done) gone.push_back(dispatch.task.key());
+  bench.Restart(gone);
+  EXPECT_FALSE(bench.scheduler.JobStatus("job").has_value());
+  EXPECT_EQ(bench.Status("kept").state(), v1::JOB_DONE);
+  EXPECT_THAT(Only<DispatchEffect>(bench.Hello("w1")), IsEmpty());
+  EXPECT_THAT(Only<DispatchEffect>(bench.Wait(bench.options.restart_grace_ms)), IsEmpty());
+}
+
+TEST(RecoveryTest, ARunningJobIsNotRemoved) {
+  Bench bench;
+  bench.Hello("w1");
+  bench.Submit("job");
+  EXPECT_THAT(bench.Step(RemoveJobEvent{"job"}), IsEmpty());
+  EXPECT_EQ(bench.Status("job").state(), v1::JOB_RUNNING);
+  bench.Step(CancelJobEvent{"job"});
+  bench.Step(RemoveJobEvent{"job"});
+  EXPECT_FALSE(bench.scheduler.JobStatus("job").has_value());
+  EXPECT_THAT(bench.Step(RemoveJobEvent{"job"}), IsEmpty()) << "removing twice is nothing";
 }
 
 TEST(RecoveryTest, TakesBackWhatAWorkerThatReconnectedDoesNotName) {

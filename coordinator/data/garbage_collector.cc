@@ -1,0 +1,116 @@
+#include "coordinator/data/garbage_collector.h"
+
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <system_error>
+#include <utility>
+
+#include "mosaic/base/digest.h"
+
+namespace trem {
+namespace fs = std::filesystem;
+namespace {
+
+bool Contains(const std::vector<std::string>& sorted, const std::string& digest) {
+  return std::binary_search(sorted.begin(), sorted.end(), digest);
+}
+
+void SortUnique(std::vector<std::string>* digests) {
+  std::sort(digests->begin(), digests->end());
+  digests->erase(std::unique(digests->begin(), digests->end()), digests->end());
+}
+
+// What processes that were killed have left half written. Folders belong to workers, which look after them themselves.
+void SweepTemporaryFiles(const fs::path& folder, fs::file_time_type before) {
+  std::error_code error;
+  for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
+    std::error_code gone;
+    if (it->is_symlink(gone) || !it->is_regular_file(gone) || it->last_write_time(gone) >= before || gone) continue;
+    fs::remove(it->path(), gone);
+  }
+}
+
+}  // namespace
+
+Result<SweepReport> SweepStore(const ArtefactStore& store, const std::vector<std::string>& in_use, const std::vector<std::string>& released,
+                               const SweepOptions& options, const std::atomic<bool>& stop) {
+  const auto now = fs::file_time_type::clock::now();
+  SweepReport report;
+  std::error_code error;
+  for (fs::recursive_directory_iterator it(store.root() / "objects", error), end; !error && it != end; it.increment(error)) {
+    if (stop) return Cancelled("stopped");
+    std::error_code gone;
+    const std::string digest = it->path().filename().string();
+    if (it->is_symlink(gone) || !it->is_regular_file(gone) || !IsSha256Hex(digest)) continue;  // None of ours.
+    const std::uint64_t bytes = it->file_size(gone);
+    const auto put_at = it->last_write_time(gone);
+    if (gone) continue;
+    const auto stays = Contains(released, digest) ? options.released_objects_stay : options.new_objects_stay;
+    if (Contains(in_use, digest) || put_at + stays > now || !fs::remove(it->path(), gone)) {
+      report.bytes += bytes;
+      continue;
+    }
+    ++report.removed_objects;
+    report.removed_bytes += bytes;
+  }
+  if (error) return FromErrno("cannot list " + (store.root() / "objects").string(), error.value());
+  SweepTemporaryFiles(store.root() / "tmp", now - options.new_objects_stay);
+  return report;
+}
+
+GarbageCollector::GarbageCollector(ArtefactStore store, const SweepOptions& options)
+    : store_(std::move(store)), options_(options), thread_([this] { Run(); }) {}
+
+GarbageCollector::~GarbageCollector() {
+  {
+    const std::lock_guard guard(mutex_);
+    stop_ = true;
+  }
+  changed_.notify_all();
+  thread_.join();
+}
+
+void GarbageCollector::Begin(std::vector<std::string> in_use, const std::vector<std::string>& released) {
+  {
+    const std::lock_guard guard(mutex_);
+    wanted_ = std::move(in_use);
+    released_.insert(released_.end(), released.begin(), released.end());
+    SortUnique(&released_);
+  }
+  changed_.notify_all();
+}
+
+std::optional<SweepReport> GarbageCollector::TakeReport() {
+  const std::lock_guard guard(mutex_);
+  return std::exchange(report_, std::nullopt);
+}
+
+void GarbageCollector::Run() {
+  for (;;) {
+    std::vector<std::string> in_use, released;
+    {
+      std::unique_lock lock(mutex_);
+      changed_.wait(lock, [this] { return stop_ || wanted_.has_value(); });
+      if (stop_) return;
+      in_use = std::move(*wanted_);
+      wanted_.reset();
+      released = released_;
+    }
+    SortUnique(&in_use);
+    const Result<SweepReport> report = SweepStore(store_, in_use, released, options_, stop_);
+    if (!report.ok()) {
+      if (!stop_) spdlog::warn("the artefact store was not swept: {}", report.status().message());
+      continue;
+    }
+    if (report->removed_objects > 0) {
+      spdlog::info("{} objects of {} bytes that no job has any more were removed from the artefact store; it holds {} bytes",
+                   report->removed_objects, report->removed_bytes, report->bytes);
+    }
+    const std::lock_guard guard(mutex_);
+    report_ = *report;
+  }
+}
+
+}  // namespace trem
