@@ -22,11 +22,7 @@ struct FrameResidual {
  private:
   // Each works on rows [begin, end).
   void Predict(const Observation& observation, const View& view, const SceneBuffer& buffer, int begin, int end);
-  void FindRange(int begin, int end);
   void Explain(const Observation& observation, int begin, int end);
-  Image<float> low_;  // Least and largest of three rows, with a column to either side.
-  Image<float> high_;
-  Image<float> ones_;
 };
 
 }  // namespace trem

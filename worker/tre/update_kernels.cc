@@ -133,6 +133,46 @@ void PredictRowTarget(const OverlaidRow& row, int count, float* predicted, float
   }
 }
 
+void RangeOfRowsTarget(const float* const* rows, int count, float* low, float* high) {
+  const hn::ScalableTag<float> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t end = static_cast<std::size_t>(count);
+  for (std::size_t u = 0; u < end; u += hn::Lanes(d)) {
+    V least = hn::Set(d, 1e9F);
+    V most = hn::Set(d, -1e9F);
+    for (int j = 0; j < 3; ++j) {
+      const V value = LoadUpTo(d, rows[j] + u, end - u);
+      least = hn::IfThenElse(hn::Lt(value, least), value, least);
+      most = hn::IfThenElse(hn::Gt(value, most), value, most);
+    }
+    hn::StoreU(least, d, low + u);
+    hn::StoreU(most, d, high + u);
+  }
+}
+
+void ExplainRowTarget(const ExplainedRow& row, int count, float* variance, float* residual) {
+  const hn::ScalableTag<float> d;
+  using V = hn::Vec<decltype(d)>;
+  const std::size_t end = static_cast<std::size_t>(count);
+  const V one = hn::Set(d, 1.0F);
+  const V weight_min = hn::Set(d, 1e-3F);
+  for (std::size_t u = 0; u < end; u += hn::Lanes(d)) {
+    const std::size_t rest = end - u;
+    const V most = hn::Max(hn::LoadU(d, row.high + u), hn::Max(hn::LoadU(d, row.high + u - 1), hn::LoadU(d, row.high + u + 1)));
+    const V least = hn::Min(hn::LoadU(d, row.low + u), hn::Min(hn::LoadU(d, row.low + u - 1), hn::LoadU(d, row.low + u + 1)));
+    const V contrast = hn::Max(hn::Sub(most, least), hn::Zero(d));
+    const V inverse_n = hn::Div(one, hn::Max(LoadUpTo(d, row.frames + u, rest), hn::Set(d, row.seen_min)));
+    const V part = hn::Mul(hn::Add(hn::Set(d, row.settled_part), hn::Mul(hn::Set(d, row.fresh_part), inverse_n)), contrast);
+    const V weight = row.weights != nullptr ? LoadUpTo(d, row.weights + u, rest) : one;
+    const V inverse_weight = hn::Div(one, hn::IfThenElse(hn::Lt(weight, weight_min), weight_min, weight));
+    const V noise = hn::Mul(hn::Set(d, row.noise2), hn::Add(inverse_weight, inverse_n));
+    StoreUpTo(d, hn::Add(noise, hn::Mul(part, part)), variance + u, rest);
+    const V left = hn::Sub(LoadUpTo(d, row.pixels + u, rest), LoadUpTo(d, row.predicted + u, rest));
+    const V nothing = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
+    StoreUpTo(d, hn::IfThenElse(hn::Gt(weight, hn::Zero(d)), left, nothing), residual + u, rest);
+  }
+}
+
 int FindUnlikeTarget(const float* row, float value, int count) {
   const hn::ScalableTag<float> d;
   const std::size_t end = static_cast<std::size_t>(count);
@@ -214,6 +254,8 @@ HWY_EXPORT(ResidualRowsTarget);
 HWY_EXPORT(StepRowsTarget);
 HWY_EXPORT(ScaleRowTarget);
 HWY_EXPORT(PredictRowTarget);
+HWY_EXPORT(RangeOfRowsTarget);
+HWY_EXPORT(ExplainRowTarget);
 HWY_EXPORT(FindUnlikeTarget);
 HWY_EXPORT(SumTextureTarget);
 HWY_EXPORT(SeenRowTarget);
@@ -232,6 +274,14 @@ void ScaleRow(float factor, int count, float* row) { HWY_DYNAMIC_DISPATCH(ScaleR
 
 void PredictRow(const OverlaidRow& row, int count, float* predicted, float* frames) {
   HWY_DYNAMIC_DISPATCH(PredictRowTarget)(row, count, predicted, frames);
+}
+
+void RangeOfRows(const float* const* rows, int count, float* low, float* high) {
+  HWY_DYNAMIC_DISPATCH(RangeOfRowsTarget)(rows, count, low, high);
+}
+
+void ExplainRow(const ExplainedRow& row, int count, float* variance, float* residual) {
+  HWY_DYNAMIC_DISPATCH(ExplainRowTarget)(row, count, variance, residual);
 }
 
 int FindUnlike(const float* row, float value, int count) { return HWY_DYNAMIC_DISPATCH(FindUnlikeTarget)(row, value, count); }

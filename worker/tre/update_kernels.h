@@ -67,6 +67,27 @@ struct OverlaidRow {
 // or `seen` is less than seen_min. No fused operations: the same bytes on every processor.
 void PredictRow(const OverlaidRow& row, int count, float* predicted, float* frames);
 
+// Least and largest of three rows of images; NaNs take no part, and where there is nothing else they are 1e9 and -1e9. `low` and `high` are
+// lines.
+void RangeOfRows(const float* const* rows, int count, float* low, float* high);
+
+// One row of what a frame leaves of a prediction; see FrameResidual.
+struct ExplainedRow {
+  const float* low = nullptr;  // Lines by RangeOfRows, with a value to either side.
+  const float* high = nullptr;
+  const float* predicted = nullptr;  // Rows of images, like all that follow.
+  const float* frames = nullptr;     // That have seen the scene there.
+  const float* pixels = nullptr;
+  const float* weights = nullptr;  // Null: all 1.
+  float noise2 = 0.0F;
+  float settled_part = 0.0F;  // Model error as a part of the contrast, and what one frame's adds to it.
+  float fresh_part = 0.0F;
+  float seen_min = 0.0F;
+};
+// variance = noise2 (1 / weight + 1 / n) + ((settled_part + fresh_part / n) * contrast)^2, n = max(frames, seen_min), contrast the range
+// over 3 x 3 pixels; residual = pixel - predicted, NaN where the weight is 0. No fused operations.
+void ExplainRow(const ExplainedRow& row, int count, float* variance, float* residual);
+
 // Index of the first of row[0 .. count) that is not `value`; `count` when there is none. A row of an image.
 int FindUnlike(const float* row, float value, int count);
 

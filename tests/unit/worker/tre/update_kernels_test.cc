@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 
@@ -74,6 +75,51 @@ TEST(UpdateKernels, ARowIsPredictedBilinearlyWhereTheSceneWasSeenAndTheSameOnEve
       }
     }
     EXPECT_GT(used, 10);
+  }
+}
+
+TEST(UpdateKernels, ResidualsAndWhatExplainsThemAreTheSameOnEveryTarget) {
+  constexpr int kCount = 45;
+  Image<float> predicted = RandomImage(kCount, 3, 11);
+  predicted.at(7, 0) = predicted.at(7, 1) = predicted.at(7, 2) = predicted.at(20, 1) = NAN;
+  Image<float> frames = RandomImage(kCount, 1, 12);
+  for (float& n : frames.pixels()) n = std::abs(3.0F * n);
+  const Image<float> pixels = RandomImage(kCount, 1, 13);
+  Image<float> weights = RandomImage(kCount, 1, 14);
+  for (float& w : weights.pixels()) w = std::max(w, 0.0F);
+  const float* const rows[] = {predicted.row(0), predicted.row(1), predicted.row(2)};
+  for (const std::int64_t target : testing::FusedTargets()) {
+    const testing::WithTarget chosen(target);
+    std::vector<float> low(kCount + 2 + kRowSlack);
+    std::vector<float> high(low.size());
+    RangeOfRows(rows, kCount, low.data() + 1, high.data() + 1);
+    low[0] = low[kCount + 1] = 1e9F;
+    high[0] = high[kCount + 1] = -1e9F;
+    const ExplainedRow row{low.data() + 1, high.data() + 1, rows[1], frames.row(0), pixels.row(0), weights.row(0), 4.0F,
+                           0.1F,           0.45F,           0.75F};
+    std::vector<float> variance(kCount + 1, 77.0F);
+    std::vector<float> residual(kCount + 1, 77.0F);
+    ExplainRow(row, kCount, variance.data(), residual.data());
+    EXPECT_EQ(variance.back(), 77.0F);
+    EXPECT_EQ(residual.back(), 77.0F);
+    for (int u = 0; u < kCount; ++u) {
+      float least = 1e9F;
+      float most = -1e9F;
+      for (int j = 0; j < 9; ++j) {
+        const int at = u + j % 3 - 1;
+        if (at < 0 || at >= kCount || std::isnan(predicted.at(at, j / 3))) continue;
+        least = std::min(least, predicted.at(at, j / 3));
+        most = std::max(most, predicted.at(at, j / 3));
+      }
+      const float inverse_n = 1.0F / std::max(frames.at(u, 0), 0.75F);
+      const float part = (0.1F + 0.45F * inverse_n) * std::max(most - least, 0.0F);
+      const float weight = weights.at(u, 0);
+      const auto index = static_cast<std::size_t>(u);
+      ASSERT_EQ(variance[index], 4.0F * (1.0F / std::max(weight, 1e-3F) + inverse_n) + part * part) << hwy::TargetName(target) << " " << u;
+      const float left = pixels.at(u, 0) - predicted.at(u, 1);
+      ASSERT_EQ(std::isnan(residual[index]), !(weight > 0.0F) || std::isnan(left)) << hwy::TargetName(target) << " " << u;
+      if (!std::isnan(residual[index])) ASSERT_EQ(residual[index], left) << hwy::TargetName(target) << " " << u;
+    }
   }
 }
 
