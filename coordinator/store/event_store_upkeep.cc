@@ -132,11 +132,12 @@ Result<bool> EventStore::State::StepRemains() {
   const std::string count = std::to_string(kRowsAtOnce);
   const std::string snapshot_begin = std::to_string(rows.snapshot_begin);
   const std::string snapshot_end = std::to_string(rows.snapshot_end);
+  // One bound each: of two, SQLite would seek to one and look at every row for the other.
   const std::string deletes[] = {
-      "DELETE FROM events WHERE sequence < " + std::to_string(rows.events_begin) + " AND sequence < (SELECT min(sequence) FROM events) + " +
-          count,
-      "DELETE FROM snapshot WHERE position < " + snapshot_begin + " AND position < (SELECT min(position) FROM snapshot) + " + count,
-      "DELETE FROM snapshot WHERE position >= " + snapshot_end + " AND position > (SELECT max(position) FROM snapshot) - " + count};
+      "DELETE FROM events WHERE sequence < min(" + std::to_string(rows.events_begin) + ", (SELECT min(sequence) FROM events) + " + count +
+          ")",
+      "DELETE FROM snapshot WHERE position < min(" + snapshot_begin + ", (SELECT min(position) FROM snapshot) + " + count + ")",
+      "DELETE FROM snapshot WHERE position >= max(" + snapshot_end + ", (SELECT max(position) FROM snapshot) - " + count + " + 1)"};
   for (const std::string& sql : deletes) {
     TREM_RETURN_IF_ERROR(Transact(false, [&] { return RunAll(raw, path, {sql.c_str()}); }));
     if (sqlite3_changes(raw) > 0) return true;

@@ -122,6 +122,7 @@ int main(int argc, char** argv) {
   std::string digest;
   for (int round = 0; round < repeats; ++round) {
     const fs::path base = fs::path(folder) / std::to_string(round);
+    for (const char* run : {"one", "two"}) fs::create_directories(base / run);
     better(&direct, Measure(RUSAGE_SELF, [&] { digest = RunDirectly(*spec, base / "store"); }), round);
     better(&one, Measure(RUSAGE_CHILDREN, [&] { RunService(sortie, overrides, base / "one" / "mosaic.tif", 1); }), round);
     better(&two, Measure(RUSAGE_CHILDREN, [&] { RunService(sortie, overrides, base / "two" / "mosaic.tif", 2); }), round);
