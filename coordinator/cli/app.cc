@@ -75,8 +75,17 @@ int ExecWorker(int argc, char** argv) {
   return kExitFailed;
 }
 
-// Options that are fields of Sortie.mosaic; they come before --set, which has the last word.
+// Options that are fields of Sortie.mosaic, and further recordings; they come before --set, which has the last word.
 void AddMosaicOptions(CLI::App* command, Request* request) {
+  command
+      ->add_option_function<std::vector<std::string>>(
+          "--also",
+          [request](const std::vector<std::string>& sorties) {
+            for (const std::string& sortie : sorties) request->mosaic.push_back("more=" + sortie);
+          },
+          "One more recording by the same sensor, aligned with SORTIE into one mosaic; may be repeated")
+      ->type_name("SORTIE")
+      ->allow_extra_args(false);
   const auto field = [&](const std::string& option, const std::string& name, const std::string& type, const std::string& text) {
     command
         ->add_option_function<std::string>(

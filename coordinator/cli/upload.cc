@@ -97,6 +97,10 @@ Result<ArtefactRef> SendList(const v1::UploadList& list, const std::shared_ptr<A
 }  // namespace
 
 Result<v1::Sortie> UploadSortie(const v1::Sortie& sortie, const std::shared_ptr<ArtefactBacking>& backing) {
+  if (sortie.more_size() > 0) {
+    return InvalidInput(
+        "a sortie of several recordings can't be uploaded; put all of them where the workers see them, under the same paths");
+  }
   v1::Sortie uploaded = sortie;
   if (uploaded.telemetry().ignore()) uploaded.mutable_telemetry()->clear_path();
   FileMap files;

@@ -58,6 +58,25 @@ Result<std::vector<fs::path>> SourceFiles(const fs::path& source) {
   return files;
 }
 
+// Everything that tells one recording's frames and telemetry.
+Status AddRecording(const v1::Source& source, const v1::Telemetry& telemetry, Sha256* digest) {
+  TREM_ASSIGN_OR_RETURN(const std::vector<fs::path> files, SourceFiles(source.path()));
+  for (const fs::path& file : files) AddFingerprint(file, digest);
+  if (!telemetry.path().empty()) {
+    AddFingerprint(telemetry.path(), digest);
+  } else {
+    // Where ingest looks for telemetry that the spec does not name.
+    const fs::path folder = fs::path(source.path()).parent_path();
+    AddFingerprint(folder / "telemetry.csv", digest);
+    AddFingerprint(folder.parent_path() / "telemetry.csv", digest);
+    for (const char* extension : {".srt", ".SRT", ".gpx", ".GPX"}) {
+      AddFingerprint(fs::path(source.path()).replace_extension(extension), digest);
+    }
+  }
+  if (!telemetry.dem_path().empty()) AddFingerprint(telemetry.dem_path(), digest);
+  return {};
+}
+
 }  // namespace
 
 Result<WorkFolder> WorkFolder::Open(const fs::path& path) {
@@ -93,23 +112,12 @@ void WorkFolder::Remove() {
 }
 
 Result<std::string> RunJobId(const v1::Sortie& sortie) {
-  TREM_ASSIGN_OR_RETURN(const std::vector<fs::path> files, SourceFiles(sortie.source().path()));
   Sha256 digest;
   digest.Update(SerializeDeterministic(sortie));
-  for (const fs::path& file : files) AddFingerprint(file, &digest);
+  TREM_RETURN_IF_ERROR(AddRecording(sortie.source(), sortie.telemetry(), &digest));
+  for (const v1::Recording& recording : sortie.more())
+    TREM_RETURN_IF_ERROR(AddRecording(recording.source(), recording.telemetry(), &digest));
   if (!sortie.control().path().empty()) AddFingerprint(sortie.control().path(), &digest);
-  if (!sortie.telemetry().path().empty()) {
-    AddFingerprint(sortie.telemetry().path(), &digest);
-  } else {
-    // Where ingest looks for telemetry that the spec does not name.
-    const fs::path folder = fs::path(sortie.source().path()).parent_path();
-    AddFingerprint(folder / "telemetry.csv", &digest);
-    AddFingerprint(folder.parent_path() / "telemetry.csv", &digest);
-    for (const char* extension : {".srt", ".SRT", ".gpx", ".GPX"}) {
-      AddFingerprint(fs::path(sortie.source().path()).replace_extension(extension), &digest);
-    }
-  }
-  if (!sortie.telemetry().dem_path().empty()) AddFingerprint(sortie.telemetry().dem_path(), &digest);
   return "run-" + digest.FinishHex().substr(0, 24);
 }
 

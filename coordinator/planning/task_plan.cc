@@ -65,10 +65,29 @@ std::string KeyOf(const v1::TaskSpec& spec, const std::string& windows_digest, c
   return Sha256Hex(bytes);
 }
 
+// Which of the sortie's recordings a window lies in.
+int RecordingOf(const JobInputs& inputs, const WindowPlan& window) {
+  const auto& begins = inputs.ingest.recording_begins();
+  int recording = 0;
+  for (int k = 0; k < begins.size() && k <= inputs.sortie.more_size(); ++k) {
+    if (begins[k] <= window.frame_begin) recording = k;
+  }
+  return recording;
+}
+
 void FillEnhance(const JobInputs& inputs, std::uint32_t index, v1::TaskSpec* spec) {
   TREM_CHECK(index < inputs.windows.size());
   const WindowPlan& window = inputs.windows[index];
-  *spec->add_inputs() = inputs.manifest;
+  const auto part = static_cast<std::size_t>(RecordingOf(inputs, window));
+  *spec->add_inputs() = part < inputs.recordings.size() ? inputs.recordings[part] : inputs.manifest;
+  // What the windows of a recording are made of. Whatever else the sortie says must not change their keys: a mosaic at another distance,
+  // more control or one more recording leaves them as they are.
+  spec->mutable_sortie()->clear_name();
+  spec->mutable_sortie()->clear_telemetry();
+  spec->mutable_sortie()->clear_mosaic();
+  spec->mutable_sortie()->clear_control();
+  if (part > 0) *spec->mutable_sortie()->mutable_source() = inputs.sortie.more(static_cast<int>(part) - 1).source();
+  spec->mutable_sortie()->clear_more();
   spec->mutable_enhance()->set_window_id(window.window_id);
   *spec->mutable_enhance()->mutable_roi_in_sensor() = ToProto(window.roi_in_sensor);
   spec->mutable_enhance()->set_frame_begin(window.frame_begin);
@@ -189,6 +208,11 @@ Status CheckTaskResult(v1::TaskKind kind, const v1::TaskResult& result) {
       return Failed("output '" + output.name() + "' of an " + name + " task has digest '" + output.sha256() +
                     "'; expected 64 hexadecimal digits");
     }
+  }
+  if (kind == v1::INGEST && result.ingest().recording_begins_size() > 0 &&
+      result.ingest().recording_begins_size() + 1 != result.outputs_size()) {
+    return Failed("the result of an INGEST task has " + std::to_string(result.outputs_size()) + " outputs for " +
+                  std::to_string(result.ingest().recording_begins_size()) + " recordings; expected one more than these");
   }
   if (kind == v1::INGEST && !result.has_ingest()) return Failed("the result of an INGEST task has no summary");
   if (kind == v1::ALIGN && (!result.has_align() || result.align().tile_count() == 0)) {

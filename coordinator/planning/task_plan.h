@@ -19,6 +19,8 @@ struct JobInputs {
   v1::Sortie sortie;                        // Complete.
   v1::IngestSummary ingest;                 // After INGEST.
   v1::ArtefactRef manifest;                 // After INGEST.
+  // After INGEST: what ENHANCE tasks read of it, one a recording (IngestSummary.recording_begins); none: the manifest itself.
+  std::vector<v1::ArtefactRef> recordings;
   std::vector<WindowPlan> windows;          // After INGEST: PlanWindows.
   std::vector<v1::ArtefactRef> window_pbs;  // After ENHANCE: the first output of each, in window order; without a digest: a hole.
   std::string window_pbs_digest;            // After ENHANCE: WindowsDigest, computed once for the many tasks whose keys hold it.
@@ -32,7 +34,7 @@ struct JobInputs {
 
 // The task of `kind` number `index` (window id for ENHANCE, tile index for COMPOSITE, 0 for the others) with its inputs:
 //   INGEST     none
-//   ENHANCE    manifest.pb
+//   ENHANCE    manifest.pb, of the window's recording; its spec names nothing of the sortie that does not matter to it
 //   ALIGN      manifest.pb, every window.pb in window order
 //   COMPOSITE  alignment.pb, the window.pb of the windows that reach the tile, in window order
 //   EXPORT     alignment.pb, manifest.pb, every window.pb, every tile.tif in tile order

@@ -77,6 +77,7 @@ void JobGraph::SetOutput(const TaskPlace& place, const v1::TaskResult& result) {
     case v1::INGEST:
       inputs_.ingest = result.ingest();
       inputs_.manifest = result.outputs(0);
+      inputs_.recordings.assign(result.outputs().begin() + 1, result.outputs().end());
       break;
     case v1::ENHANCE:
       inputs_.window_pbs[place.index] = result.outputs(0);

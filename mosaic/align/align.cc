@@ -7,6 +7,7 @@
 #include <sstream>
 
 #include "mosaic/align/align_state.h"
+#include "mosaic/align/relief.h"
 #include "mosaic/align/solver.h"
 
 namespace trem::align {
@@ -38,6 +39,13 @@ class ContentRounds {
     return {};
   }
 
+  // The scenes' mean levels, parallel to AlignGraph::scenes; once.
+  std::vector<SceneLevels> TakeLevels() {
+    std::vector<SceneLevels> levels;
+    for (SceneFeatures& features : features_) levels.push_back(std::move(features.levels));
+    return levels;
+  }
+
   // Adds the ties of one round to `ties`; the number of new ones.
   Result<int> Find(const AlignState& state, const std::function<bool()>& progress, std::vector<ContentTie>& ties) {
     int found = 0;
@@ -55,14 +63,16 @@ class ContentRounds {
   }
 
  private:
-  // Between scenes of one piece a tie may move things by a scene's size at most: drift is slower than that, repeated texture is not.
+  // Between scenes of one piece, or of pieces that telemetry places, a tie may move things by a scene's size at most: drift is slower than
+  // that, repeated texture is not.
   bool Credible(const ContentTie& tie, const AlignState& state) const {
     const auto a = static_cast<std::size_t>(tie.scene_a);
     const auto b = static_cast<std::size_t>(tie.scene_b);
-    if (state.scenes[a].piece != state.scenes[b].piece) return true;
+    const auto anchored = [&](std::size_t s) { return state.piece_anchored[static_cast<std::size_t>(state.scenes[s].piece)]; };
+    if (state.scenes[a].piece != state.scenes[b].piece && !(anchored(a) && anchored(b))) return true;
     Eigen::Vector2d shift = Eigen::Vector2d::Zero();
     for (std::size_t k = 0; k < tie.x_in_a.size(); ++k) {
-      shift += (state.scenes[a].world_from_scene * tie.x_in_a[k] - state.scenes[b].world_from_scene * tie.x_in_b[k]) /
+      shift += (WorldFromShown(state.scenes[a], tie.x_in_a[k]) - WorldFromShown(state.scenes[b], tie.x_in_b[k])) /
                static_cast<double>(tie.x_in_a.size());
     }
     const Roi& roi = graph_.scenes[a].scene.roi_in_scene;
@@ -93,6 +103,8 @@ void CollectScenes(const AlignGraph& graph, const AlignState& state, const Solve
     scene.scene_id = node.scene.scene_id;
     scene.piece = state.scenes[s].piece;
     scene.world_from_scene = state.scenes[s].world_from_scene;
+    scene.shifts = state.scenes[s].shifts;
+    scene.shade = ShadeOf(graph, static_cast<int>(s), balance.vignetting);
     scene.position_sigma = report.scene_sigma.empty() ? 0.0 : report.scene_sigma[s];
     scene.balanced_from_scene = balance.balanced_from_scene[s];
     scene.roi_in_scene = node.scene.roi_in_scene;
@@ -153,7 +165,7 @@ std::map<std::uint32_t, FramePoints> PointsOfFrames(const AlignGraph& graph, con
       frame.world_from_sensor = state.scenes[s].world_from_scene * view.scene_from_sensor.ToHomography();
       for (const Eigen::Vector2d& u : RoiCorners(segment.roi_in_sensor)) {
         frame.u.push_back(u);
-        frame.x_in_world.push_back(frame.world_from_sensor * u);
+        frame.x_in_world.push_back(WorldFromShown(state.scenes[s], view.scene_from_sensor * u));
       }
       // frame = g scene + o and balanced = a scene + b give frame = (g / a) balanced + (o - g b / a).
       const GainOffset& scene = balance.balanced_from_scene[s];
@@ -176,6 +188,19 @@ double RmsPx(const Homography& world_from_sensor, const FramePoints& points) {
   return std::sqrt(sum / (2.0 * static_cast<double>(points.u.size())));
 }
 
+// The same by the rays of a camera, over ground of any shape.
+double RmsPx(const Camera& camera, const Lens& lens, const AlignInput& input, const FramePoints& points) {
+  double sum = 0.0, count = 0.0;
+  for (std::size_t k = 0; k < points.u.size(); ++k) {
+    const double z = input.ground ? input.ground->ElevationAt(points.x_in_world[k]).value_or(input.ground_z_m) : input.ground_z_m;
+    const std::optional<Eigen::Vector2d> seen = PixelOf(camera, lens, input, {points.x_in_world[k].x(), points.x_in_world[k].y(), z});
+    if (!seen) continue;
+    sum += (*seen - points.u[k]).squaredNorm();
+    count += 2.0;
+  }
+  return count > 0.0 ? std::sqrt(sum / count) : 0.0;
+}
+
 void CollectFrames(const AlignGraph& graph, const AlignState& state, const PhotometricBalance& balance, AlignSolution& solution) {
   std::set<std::pair<std::uint32_t, std::uint32_t>> kept_ids;
   for (const AlignedScene& scene : solution.scenes) kept_ids.insert({scene.window_id, scene.scene_id});
@@ -191,16 +216,18 @@ void CollectFrames(const AlignGraph& graph, const AlignState& state, const Photo
     frame.piece = points.piece;
     frame.frame_from_balanced = {std::exp(points.log_gain_sum / points.views), points.offset_sum / points.views};
     frame.world_from_sensor = points.world_from_sensor;
+    std::optional<Camera> camera;
     const auto unknown = unknown_of_frame.find(index);
     if (unknown != unknown_of_frame.end() && state.frames[unknown->second].piece == points.piece) {
       frame.world_from_sensor = state.frames[unknown->second].world_from_sensor;
       frame.frame_from_balanced = balance.frame_from_balanced[unknown->second];
+      camera = state.frames[unknown->second].camera;
     } else if (points.u.size() >= 8) {
       const Result<Homography> fit = FitHomography(points.u, points.x_in_world);
       if (fit.ok() && fit->Depth({0.5 * (graph.input.width_px - 1), 0.5 * (graph.input.height_px - 1)}) > 0.0)
         frame.world_from_sensor = *fit;
     }
-    frame.residual_px = RmsPx(frame.world_from_sensor, points);
+    frame.residual_px = camera ? RmsPx(*camera, state.lens, graph.input, points) : RmsPx(frame.world_from_sensor, points);
     solution.frames.push_back(frame);
   }
 }
@@ -300,20 +327,29 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   };
   AlignState state = InitialState(graph);
   std::vector<ContentTie> content;
+  // What relief shifts depends on where the cameras are, little enough for every solve to start from what the one before found.
+  const auto solve = [&](bool with_sigma) {
+    UpdateShifts(graph, state);
+    return Solve(graph, content, options, with_sigma, tick, state);
+  };
+  const bool hilly = graph.input.ground && graph.input.ground->spacing() > 0.0;
+  if (features || hilly) TREM_RETURN_IF_ERROR(solve(false).status());
+  std::vector<SceneLevels> levels(graph.scenes.size());
   if (features) {
-    TREM_RETURN_IF_ERROR(Solve(graph, content, options, false, tick, state).status());
     ContentRounds rounds(graph, features);
     TREM_RETURN_IF_ERROR(rounds.Extract(tick));
+    levels = rounds.TakeLevels();
     for (int round = 0; round < kContentRounds; ++round) {
       const std::size_t before = content.size();
       TREM_ASSIGN_OR_RETURN(const int found, rounds.Find(state, tick, content));
       if (found == 0) break;
       solution.join_count += JoinPieces(graph, std::span(content).subspan(before), state);
-      TREM_RETURN_IF_ERROR(Solve(graph, content, options, false, tick, state).status());
+      TREM_RETURN_IF_ERROR(solve(false).status());
     }
   }
-  TREM_ASSIGN_OR_RETURN(const SolveReport report, Solve(graph, content, options, true, tick, state));
-  TREM_ASSIGN_OR_RETURN(const PhotometricBalance balance, Balance(graph));
+  TREM_ASSIGN_OR_RETURN(const SolveReport report, solve(true));
+  const std::vector<LevelTie> level_ties = FindLevelTies(graph, state, levels);
+  TREM_ASSIGN_OR_RETURN(const PhotometricBalance balance, Balance(graph, level_ties));
 
   solution.georeferenced = AnyPieceAnchored(state);
   CollectScenes(graph, state, report, balance, solution);
@@ -329,6 +365,8 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   CollectPairs(graph, content, report, solution);
   solution.control = CheckControl(graph, state, report);
   solution.lens = state.lens;
+  solution.vignetting = balance.vignetting;
+  solution.level_tie_count = static_cast<int>(level_ties.size());
   solution.gauge = GaugeText(graph, options, state, solution);
   solution.used_frame_count = static_cast<int>(graph.frames.size());
   solution.content_tie_count = static_cast<int>(content.size());

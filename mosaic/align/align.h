@@ -9,6 +9,7 @@
 #include "mosaic/align/control.h"
 #include "mosaic/align/photometry.h"
 #include "mosaic/base/status.h"
+#include "mosaic/geometry/cell_grid.h"
 
 namespace trem::align {
 
@@ -18,6 +19,8 @@ struct AlignedScene {
   int piece = 0;
   Homography world_from_scene;  // Working world from cells of the segment's scene plane; positive Depth() on the scene.
   double position_sigma = 0.0;  // Standard error of the scene's centre, working units.
+  CellShifts shifts;            // What relief adds to world_from_scene.
+  CellGrid<double> shade;       // Factors on the scene's intensity, before gain and offset, that undo vignetting.
   GainOffset balanced_from_scene;
   Roi roi_in_scene;
 };
@@ -63,6 +66,8 @@ struct AlignSolution {
   std::vector<OutlierPair> outlier_pairs;
   ControlReport control;
   Lens lens;
+  Vignetting vignetting;
+  int level_tie_count = 0;  // Pairs of scenes whose brightness was compared on the ground.
   int join_count = 0;  // Pieces joined by content.
   double tie_rms_px = 0.0;
   double variance_factor = 1.0;

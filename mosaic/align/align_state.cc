@@ -205,6 +205,18 @@ std::optional<Eigen::Vector3d> MeetGround(const Camera& camera, const Lens& lens
   return IntersectSurface(camera.position_m, direction, LevelGround(input.ground_z_m));
 }
 
+std::optional<Eigen::Vector2d> PixelOf(const Camera& camera, const Lens& lens, const AlignInput& input, const Eigen::Vector3d& x_in_world) {
+  const Eigen::Vector3d ray = camera.world_from_camera.transpose() * (x_in_world - camera.position_m);
+  if (!(ray.z() > 1e-6)) return std::nullopt;
+  const Eigen::Vector2d direction = ray.head<2>() / ray.z();
+  const double focal_px = camera.focal_px * std::exp(lens.log_focal) * (1.0 + lens.k1 * direction.squaredNorm());
+  return Eigen::Vector2d(0.5 * (input.width_px - 1), 0.5 * (input.height_px - 1)) + focal_px * direction;
+}
+
+Eigen::Vector2d WorldFromShown(const SceneState& scene, const Eigen::Vector2d& shown) {
+  return scene.world_from_scene * Unshifted(scene.shifts, shown);
+}
+
 Homography GroundFromCamera(const Camera& camera, const Lens& lens, const AlignInput& input) {
   if (!lens.IsPinhole() || (input.ground && input.ground->spacing() > 0.0)) {
     const std::optional<Homography> fitted = FittedGround(camera, lens, input);
@@ -287,8 +299,8 @@ int JoinPieces(const AlignGraph& graph, std::span<const ContentTie> ties, AlignS
     std::vector<Eigen::Vector2d> world_a;
     std::vector<Eigen::Vector2d> world_b;
     for (std::size_t i = 0; i < tie.x_in_a.size(); ++i) {
-      world_a.push_back(a.world_from_scene * tie.x_in_a[i]);
-      world_b.push_back(b.world_from_scene * tie.x_in_b[i]);
+      world_a.push_back(WorldFromShown(a, tie.x_in_a[i]));
+      world_b.push_back(WorldFromShown(b, tie.x_in_b[i]));
     }
     const bool move_b = a_anchored || (!b_anchored && a.piece < b.piece);
     if (move_b) {

@@ -1,11 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <map>
 #include <optional>
 #include <span>
 #include <vector>
 
 #include "mosaic/align/align_graph.h"
+#include "mosaic/geometry/cell_grid.h"
 
 namespace trem::align {
 
@@ -32,6 +34,8 @@ Camera CameraFromAnchor(const FrameAnchor& anchor);
 Homography GroundFromCamera(const Camera& camera, const Lens& lens, const AlignInput& input);
 // Where the ray of sensor pixel `u` meets the ground; nothing when it does not.
 std::optional<Eigen::Vector3d> MeetGround(const Camera& camera, const Lens& lens, const AlignInput& input, const Eigen::Vector2d& u);
+// The sensor pixel that sees the place; nothing behind the camera.
+std::optional<Eigen::Vector2d> PixelOf(const Camera& camera, const Lens& lens, const AlignInput& input, const Eigen::Vector3d& x_in_world);
 
 struct FrameState {
   std::optional<Camera> camera;  // Frames with a pose: the map follows from it.
@@ -43,7 +47,17 @@ struct FrameState {
 
 struct SceneState {
   Homography world_from_scene;
+  CellShifts shifts;  // What relief adds to it; see relief.h.
   int piece = -1;
+};
+
+// Where a scene shows a place of the world, undone: Unshifted, then world_from_scene.
+Eigen::Vector2d WorldFromShown(const SceneState& scene, const Eigen::Vector2d& shown);
+
+// True = telemetry + bias: metres, and radians about the camera's axes.
+struct TelemetryBias {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Vector3d attitude_rad = Eigen::Vector3d::Zero();
 };
 
 // Current values of all unknowns, parallel to AlignGraph::frames and ::scenes.
@@ -51,9 +65,8 @@ struct AlignState {
   std::vector<FrameState> frames;
   std::vector<SceneState> scenes;
   std::vector<bool> piece_anchored;  // A piece whose frames include one with telemetry.
-  // Shared errors of telemetry (true = telemetry + bias): metres, and radians about the camera's axes.
-  Eigen::Vector3d position_bias_m = Eigen::Vector3d::Zero();
-  Eigen::Vector3d attitude_bias_rad = Eigen::Vector3d::Zero();
+  // Shared errors of each recording's telemetry; absent: zero.
+  std::map<std::uint32_t, TelemetryBias> biases;
   Lens lens;
   // Ties that were left out because the ROI reaches the horizon in that frame.
   std::vector<bool> tie_unusable;

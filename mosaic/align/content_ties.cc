@@ -104,6 +104,13 @@ std::vector<int> Spread(const std::vector<int>& sorted, int limit) {
   return chosen;
 }
 
+// Whether the state says how two scenes lie to each other: they are in one piece, or telemetry places both.
+bool AreComparable(const AlignState& state, std::size_t a, std::size_t b) {
+  const int piece_a = state.scenes[a].piece, piece_b = state.scenes[b].piece;
+  if (piece_a == piece_b) return true;
+  return state.piece_anchored[static_cast<std::size_t>(piece_a)] && state.piece_anchored[static_cast<std::size_t>(piece_b)];
+}
+
 void AddPairsWithinPieces(const AlignGraph& graph, const AlignState& state, const std::vector<int>& members, const ContentOptions& options,
                           std::set<std::pair<int, int>>& pairs) {
   std::vector<Footprint> footprints;
@@ -113,9 +120,9 @@ void AddPairsWithinPieces(const AlignGraph& graph, const AlignState& state, cons
     std::vector<int> partners;
     for (std::size_t j = 0; j < members.size(); ++j) {
       const auto b = static_cast<std::size_t>(members[j]);
-      if (i == j || state.scenes[a].piece != state.scenes[b].piece) continue;
+      if (i == j || !AreComparable(state, a, b)) continue;
       if (!((footprints[i].centre - footprints[j].centre).norm() < footprints[i].radius + footprints[j].radius)) continue;
-      if (ShareAFrame(footprints[i], footprints[j])) continue;
+      if (!options.may_share_frames && ShareAFrame(footprints[i], footprints[j])) continue;
       const Homography b_from_a = state.scenes[b].world_from_scene.Inverse() * state.scenes[a].world_from_scene;
       const double overlap = std::max(OverlapFraction(graph.scenes[a], b_from_a, graph.scenes[b]),
                                       OverlapFraction(graph.scenes[b], b_from_a.Inverse(), graph.scenes[a]));

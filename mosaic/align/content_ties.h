@@ -9,6 +9,7 @@
 
 #include "mosaic/align/align_state.h"
 #include "mosaic/base/image.h"
+#include "mosaic/geometry/cell_grid.h"
 
 namespace trem::align {
 
@@ -16,6 +17,7 @@ namespace trem::align {
 struct SceneFeatures {
   std::vector<Eigen::Vector2d> x_in_scene;  // Cells of the segment's scene plane.
   std::vector<std::uint8_t> descriptors;    // 128 numbers a feature.
+  CellGrid<double> levels;                  // MeanLevels of the scene, for the photometric balance; empty: it takes no part.
 };
 
 struct ContentOptions {
@@ -27,6 +29,7 @@ struct ContentOptions {
   int points_max = 16;              // Points kept a tie, spread evenly.
   double overlap_min = 0.4;         // Of the smaller scene.
   int partners_max = 6;             // Pairs tried a scene and round.
+  bool may_share_frames = false;    // Pairs that share frames are of use, too.
   int scenes_max = 600;             // Scenes that take part, spread evenly.
   int cross_piece_pairs_max = 400;  // Pairs tried between pieces whose relation is unknown.
 };
@@ -41,8 +44,9 @@ SceneFeatures ExtractFeatures(const Image<float>& intensity, const Image<float>&
 std::optional<ContentTie> MatchFeatures(int scene_a, const SceneFeatures& a, int scene_b, const SceneFeatures& b, int ratio,
                                         const ContentOptions& options);
 
-// Pairs (a < b) worth trying: scenes of one piece that overlap in the current state and share no frame, the nearest in time and others
-// spread over the rest; and between pieces of unknown relation, scenes spread evenly. `takes_part[s]`: scene s has features.
+// Pairs (a < b) worth trying: scenes of one piece, or of pieces that telemetry places, that overlap in the current state and share no
+// frame, the nearest in time and others spread over the rest; and between pieces of unknown relation, scenes spread evenly.
+// `takes_part[s]`: scene s has features.
 std::vector<std::pair<int, int>> CandidatePairs(const AlignGraph& graph, const AlignState& state, const std::vector<bool>& takes_part,
                                                 const ContentOptions& options);
 

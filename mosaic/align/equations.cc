@@ -69,10 +69,6 @@ Equations::Equations(const AlignGraph& graph, std::span<const ContentTie> conten
   scene_parameters_.resize(graph.scenes.size());
   for (auto& parameters : frame_parameters_) parameters.fill(0.0);
   for (auto& parameters : scene_parameters_) parameters.fill(0.0);
-  for (int k = 0; k < 3; ++k) {
-    position_bias_[static_cast<std::size_t>(k)] = state.position_bias_m(k);
-    attitude_bias_[static_cast<std::size_t>(k)] = state.attitude_bias_rad(k);
-  }
   lens_ = {state.lens.log_focal, state.lens.k1};
   SetHuber();
   problem_->AddParameterBlock(lens_.data(), kLensParameters);
@@ -91,8 +87,12 @@ void Equations::HoldWhatCannotBeSeen(bool has_content_ties) {
   // A boresight error shows between legs of different headings that meet, and at control points. On one leg it shows only in the faint perspective of small fields
   // of view and in the bias of feature positions, where a few thousandths of a pixel pass for some hundredths of a degree: there
   // telemetry is believed as it is.
-  if (has_attitude_bias_ && !controlled && (!has_content_ties || !HeadingsDiffer()))
-    problem_->SetParameterBlockConstant(attitude_bias_.data());
+  const Boresight boresight = graph_.input.boresight;
+  for (auto& [recording, shared] : shared_) {
+    const bool seen = controlled || (has_content_ties && HeadingsDiffer(recording));
+    if (shared.has_attitude && (boresight == Boresight::kHeld || (boresight == Boresight::kWhereSeen && !seen)))
+      problem_->SetParameterBlockConstant(shared.attitude.data());
+  }
   const bool focal = has_lens_ && graph_.input.focal_sigma > 0.0;
   const bool distortion = has_lens_ && graph_.input.estimate_distortion;
   if (!focal && !distortion) {
@@ -102,11 +102,23 @@ void Equations::HoldWhatCannotBeSeen(bool has_content_ties) {
   }
 }
 
-bool Equations::HeadingsDiffer() const {
+Equations::SharedErrors& Equations::SharedOf(const FrameAnchor& anchor) {
+  const auto [found, is_new] = shared_.try_emplace(anchor.recording);
+  const auto known = state_.biases.find(anchor.recording);
+  for (std::size_t k = 0; is_new && known != state_.biases.end() && k < 3; ++k) {
+    found->second.position[k] = known->second.position_m(static_cast<int>(k));
+    found->second.attitude[k] = known->second.attitude_rad(static_cast<int>(k));
+  }
+  return found->second;
+}
+
+bool Equations::HeadingsDiffer(std::uint32_t recording) const {
   constexpr double kCosine60Deg = 0.5;
   std::optional<Eigen::Vector2d> first;
-  for (const FrameState& frame : state_.frames) {
-    if (!frame.camera) continue;
+  for (std::size_t f = 0; f < state_.frames.size(); ++f) {
+    const FrameState& frame = state_.frames[f];
+    const int anchor = graph_.frames[f].anchor;
+    if (!frame.camera || anchor < 0 || graph_.input.anchors[static_cast<std::size_t>(anchor)].recording != recording) continue;
     // The image's right axis is level, or nearly: its direction is the heading whatever the pitch.
     const Eigen::Vector2d right = frame.camera->world_from_camera.col(0).head<2>().normalized();
     if (!first) first = right;
@@ -194,21 +206,28 @@ void Equations::AddScenes() {
   }
 }
 
+Eigen::Vector2d Equations::UnitFromShown(int scene, const Eigen::Vector2d& shown) const {
+  const auto s = static_cast<std::size_t>(scene);
+  return (unit_from_scene_[s] * Unshifted(state_.scenes[s].shifts, shown).homogeneous()).head<2>();
+}
+
 void Equations::AddAnchorPriors() {
   const AlignInput& input = graph_.input;
-  const double white_m = std::max(options_.position_white_min_m, options_.position_white_fraction * input.position_sigma_m);
   for (std::size_t f = 0; f < graph_.frames.size(); ++f) {
     const FrameState& frame = state_.frames[f];
     if (graph_.frames[f].anchor < 0 || frame.piece < 0) continue;
     const FrameAnchor& anchor = input.anchors[static_cast<std::size_t>(graph_.frames[f].anchor)];
+    const TelemetrySigmas sigmas = input.SigmasOf(anchor.recording);
+    const double white_m = std::max(options_.position_white_min_m, options_.position_white_fraction * sigmas.position_m);
+    SharedErrors& shared = SharedOf(anchor);
     if (frame.camera) {
       const Camera telemetry = CameraFromAnchor(anchor);
       const Eigen::Matrix3d rotation = telemetry.world_from_camera.transpose() * frame.camera->world_from_camera;
-      auto* const cost = new ceres::AutoDiffCostFunction<CameraPrior, 6, kCameraParameters, 3, 3>(new CameraPrior{
-          frame.camera->position_m - telemetry.position_m, Eigen::Quaterniond(rotation), std::hypot(white_m, anchor.position_extra_m),
-          std::hypot(input.attitude_sigma_rad, anchor.attitude_extra_rad)});
-      problem_->AddResidualBlock(cost, nullptr, frame_parameters_[f].data(), position_bias_.data(), attitude_bias_.data());
-      has_attitude_bias_ = true;
+      auto* const cost = new ceres::AutoDiffCostFunction<CameraPrior, 6, kCameraParameters, 3, 3>(
+          new CameraPrior{frame.camera->position_m - telemetry.position_m, Eigen::Quaterniond(rotation),
+                          std::hypot(white_m, anchor.position_extra_m), std::hypot(sigmas.attitude_rad, anchor.attitude_extra_rad)});
+      problem_->AddResidualBlock(cost, nullptr, frame_parameters_[f].data(), shared.position.data(), shared.attitude.data());
+      shared.has_attitude = true;
       has_lens_ = true;
     } else {
       const double gsd_m = std::exp(frame.log_scale0);
@@ -217,10 +236,9 @@ void Equations::AddAnchorPriors() {
           FreeProjectionOf(static_cast<int>(f)),
           *anchor.corners,
           {Eigen::Vector2d(-0.5, -0.5), Eigen::Vector2d(right, -0.5), Eigen::Vector2d(right, bottom), Eigen::Vector2d(-0.5, bottom)},
-          input.position_sigma_m / gsd_m});
-      problem_->AddResidualBlock(cost, nullptr, frame_parameters_[f].data(), position_bias_.data());
+          sigmas.position_m / gsd_m});
+      problem_->AddResidualBlock(cost, nullptr, frame_parameters_[f].data(), shared.position.data());
     }
-    has_position_bias_ = true;
   }
 }
 
@@ -229,8 +247,11 @@ void Equations::AddSharedPriors() {
   const auto add_prior = [this](double sigma, double* bias) {
     problem_->AddResidualBlock(new ceres::NormalPrior(Eigen::MatrixXd::Identity(3, 3) / sigma, Eigen::VectorXd::Zero(3)), nullptr, bias);
   };
-  if (has_position_bias_) add_prior(input.position_sigma_m, position_bias_.data());
-  if (has_attitude_bias_) add_prior(input.attitude_sigma_rad, attitude_bias_.data());
+  for (auto& [recording, shared] : shared_) {
+    const TelemetrySigmas sigmas = input.SigmasOf(recording);
+    add_prior(sigmas.position_m, shared.position.data());
+    if (shared.has_attitude) add_prior(sigmas.attitude_rad, shared.attitude.data());
+  }
   // Distortions of lenses are a few per cent at the edge of the field.
   constexpr double kDistortionSigma = 0.3;
   Eigen::MatrixXd lens = Eigen::MatrixXd::Zero(kLensParameters, kLensParameters);
@@ -249,7 +270,7 @@ void Equations::AddTies() {
     const ChainView& view = graph_.ViewOf(tie);
     const std::array<Eigen::Vector2d, 4> u = TiePoints(graph_.SegmentOf(tie).roi_in_sensor);
     std::array<Eigen::Vector2d, 4> xi;
-    for (std::size_t k = 0; k < 4; ++k) xi[k] = (unit_from_scene_[s] * (view.scene_from_sensor * u[k]).homogeneous()).head<2>();
+    for (std::size_t k = 0; k < 4; ++k) xi[k] = UnitFromShown(tie.scene, view.scene_from_sensor * u[k]);
     const Whitener8 whitener = TieWhitener(view.corner_covariance_px2, tie.floor_px);
     ceres::CostFunction* cost = nullptr;
     if (state_.frames[f].camera) {
@@ -274,8 +295,8 @@ void Equations::AddContentTies(std::span<const ContentTie> content_ties) {
       const Eigen::Matrix2d whitened_from_world = cells_from_world / (graph_.input.ratio * options_.content_sigma_px);
       content_blocks_.push_back(problem_->AddResidualBlock(
           new ceres::AutoDiffCostFunction<ContentResidual, 2, kMapParameters, kMapParameters>(
-              new ContentResidual{world_from_unit_[a], world_from_unit_[b], (unit_from_scene_[a] * tie.x_in_a[k].homogeneous()).head<2>(),
-                                  (unit_from_scene_[b] * tie.x_in_b[k].homogeneous()).head<2>(), whitened_from_world}),
+              new ContentResidual{world_from_unit_[a], world_from_unit_[b], UnitFromShown(tie.scene_a, tie.x_in_a[k]),
+                                  UnitFromShown(tie.scene_b, tie.x_in_b[k]), whitened_from_world}),
           &content_loss_, scene_parameters_[a].data(), scene_parameters_[b].data()));
       content_tie_of_block_.push_back(static_cast<int>(&tie - content_ties.data()));
     }
@@ -363,9 +384,8 @@ void Equations::Store() {
       frame.world_from_sensor = world_from_sensor;
     }
   }
-  for (int k = 0; k < 3; ++k) {
-    state_.position_bias_m(k) = position_bias_[static_cast<std::size_t>(k)];
-    state_.attitude_bias_rad(k) = attitude_bias_[static_cast<std::size_t>(k)];
+  for (const auto& [recording, shared] : shared_) {
+    state_.biases[recording] = {Eigen::Vector3d(shared.position.data()), Eigen::Vector3d(shared.attitude.data())};
   }
 }
 

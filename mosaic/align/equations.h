@@ -4,6 +4,7 @@
 
 #include <array>
 #include <functional>
+#include <map>
 #include <memory>
 #include <span>
 #include <vector>
@@ -31,10 +32,20 @@ class Equations {
   void Store();
 
  private:
-  // Whether cameras with telemetry look along directions more than 60 degrees apart.
-  bool HeadingsDiffer() const;
+  // What all frames with telemetry of one recording share.
+  struct SharedErrors {
+    std::array<double, 3> position{};  // m.
+    std::array<double, 3> attitude{};  // rad, about the camera's axes.
+    bool has_attitude = false;         // Some frame has a camera.
+  };
+
+  // Whether a recording's cameras look along directions more than 60 degrees apart.
+  bool HeadingsDiffer(std::uint32_t recording) const;
+  SharedErrors& SharedOf(const FrameAnchor& anchor);
   CameraProjection CameraProjectionOf(int frame) const;
   FreeProjection FreeProjectionOf(int frame) const;
+  // A cell of a scene without what relief shifts it by, on the unit square.
+  Eigen::Vector2d UnitFromShown(int scene, const Eigen::Vector2d& shown) const;
   void AddFrames();
   void AddScenes();
   void AddAnchorPriors();
@@ -55,8 +66,7 @@ class Equations {
   ceres::LossFunctionWrapper control_loss_{nullptr, ceres::TAKE_OWNERSHIP};
   std::vector<std::array<double, kMapParameters>> frame_parameters_;  // Cameras use the first six.
   std::vector<std::array<double, kMapParameters>> scene_parameters_;
-  std::array<double, 3> position_bias_{};  // Shared by all frames with telemetry, m.
-  std::array<double, 3> attitude_bias_{};  // The same, rad, about the camera's axes.
+  std::map<std::uint32_t, SharedErrors> shared_;  // By recording; addresses stay.
   std::array<double, kLensParameters> lens_{};
   std::vector<Eigen::Matrix3d> unit_from_scene_;
   std::vector<Eigen::Matrix3d> world_from_unit_;
@@ -65,8 +75,6 @@ class Equations {
   std::vector<int> content_tie_of_block_;  // Index into the content ties.
   std::vector<ceres::ResidualBlockId> control_blocks_;  // Parallel to AlignInput::control; nullptr: unused.
   std::unique_ptr<ceres::Problem> problem_;
-  bool has_position_bias_ = false;
-  bool has_attitude_bias_ = false;
   bool has_lens_ = false;  // Some frame has a camera.
 };
 

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -68,6 +69,7 @@ struct FrameAnchor {
   // By how much this frame's pose is less sure than the others' (interpolated records): standard deviations, on top of AlignInput's.
   double position_extra_m = 0.0;
   double attitude_extra_rad = 0.0;
+  std::uint32_t recording = 0;  // Anchors of one recording share one error.
 };
 
 // Points that two scenes have in common, in cells of their segments' planes.
@@ -87,6 +89,19 @@ struct ControlObservation {
   bool held_out = false;                                 // Compared with the result only.
 };
 
+// When the error of attitude that all frames share is an unknown instead of 0.
+enum class Boresight {
+  kWhereSeen,  // Where ground control, or legs of different headings that content ties join, show it.
+  kEstimated,
+  kHeld
+};
+
+// Standard deviations of one recording's telemetry.
+struct TelemetrySigmas {
+  double position_m = 1.0;
+  double attitude_rad = 0.1 * 0.017453292519943295;
+};
+
 struct AlignInput {
   int width_px = 0;  // Of the sensor.
   int height_px = 0;
@@ -95,6 +110,8 @@ struct AlignInput {
   std::shared_ptr<const GroundSurface> ground;  // In the working world; null: level at ground_z_m.
   double position_sigma_m = 1.0;
   double attitude_sigma_rad = 0.1 * 0.017453292519943295;
+  // The same of single recordings, where they are others.
+  std::map<std::uint32_t, TelemetrySigmas> recordings = {};
   std::vector<Segment> segments;
   std::vector<FrameAnchor> anchors;  // At most one a frame; empty: no telemetry.
   std::vector<ControlObservation> control;
@@ -102,7 +119,13 @@ struct AlignInput {
   double control_sigma_m = 0.1;   // Of a point's survey, each axis.
   // Of the field of view that telemetry gives, relative, one error for all frames; 0: it is exact.
   double focal_sigma = 0.0;
+  Boresight boresight = Boresight::kWhereSeen;
   bool estimate_distortion = false;  // Radial distortion of the lens, one coefficient.
+
+  TelemetrySigmas SigmasOf(std::uint32_t recording) const {
+    const auto found = recordings.find(recording);
+    return found != recordings.end() ? found->second : TelemetrySigmas{position_sigma_m, attitude_sigma_rad};
+  }
 };
 
 struct AlignOptions {

@@ -3,6 +3,7 @@
 #include <ceres/ceres.h>
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -14,6 +15,9 @@ constexpr double kPivot = 128.0;
 // What a view's gain and its level at the pivot leave unexplained (vignetting, content that changed).
 constexpr double kGainFloor = 0.003;
 constexpr double kLevelFloor = 0.3;
+// Standard deviation of the difference of a patch in two balanced scenes, and how many patches of a pair count in full.
+constexpr double kPatchSigma = 2.0;
+constexpr double kPatchesIndependent = 8.0;
 
 struct ViewResidual {
   double gain;
@@ -28,6 +32,32 @@ struct ViewResidual {
     const Eigen::Matrix<T, 2, 1> error(predicted_gain - gain, predicted_offset - offset);
     Eigen::Map<Eigen::Matrix<T, 2, 1>> out(residuals);
     out = whitener.cast<T>() * error;
+    return true;
+  }
+};
+
+// One patch in two scenes, in units of its standard deviation.
+struct LevelResidual {
+  LevelPair pair;
+  double sigma;
+
+  template <typename T>
+  bool operator()(const T* a, const T* b, const T* vignetting, T* residuals) const {
+    using std::exp;
+    const auto balanced = [&](double level, const FieldPowers& field, const T* scene) -> T {
+      return (level / (1.0 + vignetting[0] * field.second + vignetting[1] * field.fourth) - scene[1]) * exp(-scene[0]);
+    };
+    residuals[0] = (balanced(pair.level_a, pair.field_a, a) - balanced(pair.level_b, pair.field_b, b)) / sigma;
+    return true;
+  }
+};
+
+// Lenses darken corners by tens of per cent at most.
+struct VignettingPrior {
+  template <typename T>
+  bool operator()(const T* v, T* residuals) const {
+    residuals[0] = v[0] / 0.3;
+    residuals[1] = v[1] / 0.3;
     return true;
   }
 };
@@ -55,7 +85,7 @@ Eigen::Matrix2d ViewWhitener(const ChainView& view) {
 
 }  // namespace
 
-Result<PhotometricBalance> Balance(const AlignGraph& graph) {
+Result<PhotometricBalance> Balance(const AlignGraph& graph, std::span<const LevelTie> level_ties) {
   std::vector<std::array<double, 2>> frames(graph.frames.size(), {0.0, 0.0});
   std::vector<std::array<double, 2>> scenes(graph.scenes.size(), {0.0, 0.0});
   ceres::Problem::Options problem_options;
@@ -71,6 +101,19 @@ Result<PhotometricBalance> Balance(const AlignGraph& graph) {
         new ceres::AutoDiffCostFunction<ViewResidual, 2, 2, 2>(new ViewResidual{view.gain, view.offset, ViewWhitener(view)}), &loss,
         frames[static_cast<std::size_t>(tie.frame)].data(), scenes[static_cast<std::size_t>(tie.scene)].data());
   }
+  std::array<double, 2> vignetting = {0.0, 0.0};
+  ceres::CauchyLoss level_loss(2.0);
+  problem.AddResidualBlock(new ceres::AutoDiffCostFunction<VignettingPrior, 2, 2>(new VignettingPrior), nullptr, vignetting.data());
+  for (const LevelTie& tie : level_ties) {
+    // Patches of one pair of scenes err alike (shadows, movers, reflectance): many count no more than some.
+    const double sigma = kPatchSigma * std::sqrt(std::max(1.0, static_cast<double>(tie.pairs.size()) / kPatchesIndependent));
+    for (const LevelPair& pair : tie.pairs) {
+      problem.AddResidualBlock(new ceres::AutoDiffCostFunction<LevelResidual, 1, 2, 2, 2>(new LevelResidual{pair, sigma}), &level_loss,
+                               scenes[static_cast<std::size_t>(tie.scene_a)].data(), scenes[static_cast<std::size_t>(tie.scene_b)].data(),
+                               vignetting.data());
+    }
+  }
+  if (level_ties.empty()) problem.SetParameterBlockConstant(vignetting.data());
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
@@ -81,9 +124,28 @@ Result<PhotometricBalance> Balance(const AlignGraph& graph) {
   ceres::Solve(options, &problem, &summary);
   if (!summary.IsSolutionUsable()) return Failed("the photometric balance could not be solved: " + summary.message);
   PhotometricBalance balance;
+  balance.vignetting = {vignetting[0], vignetting[1]};
   for (const auto& [log_gain, offset] : scenes) balance.balanced_from_scene.push_back({std::exp(-log_gain), -offset * std::exp(-log_gain)});
   for (const auto& [log_gain, offset] : frames) balance.frame_from_balanced.push_back({std::exp(log_gain), offset});
   return balance;
+}
+
+CellGrid<double> ShadeOf(const AlignGraph& graph, int scene, const Vignetting& vignetting) {
+  constexpr int kIntervals = 8;
+  constexpr double kFaint = 0.004;
+  const Roi& roi = graph.scenes[static_cast<std::size_t>(scene)].scene.roi_in_scene;
+  const Eigen::Vector2d low(roi.x0, roi.y0), high(roi.x1 - 1.0, roi.y1 - 1.0);
+  double strongest = 0.0;
+  for (const double r2 : {0.25, 0.5, 0.75, 1.0}) strongest = std::max(strongest, std::abs(vignetting.At({r2, r2 * r2}) - 1.0));
+  if (strongest < kFaint) return {};
+  CellGrid<double> shade = CellGrid<double>::Over(low, high, (high - low).maxCoeff() / kIntervals, 1.0);
+  for (int row = 0; row < shade.rows; ++row) {
+    for (int column = 0; column < shade.columns; ++column) {
+      const double factor = vignetting.At(FieldPowersAt(graph, scene, shade.Node(column, row)));
+      shade.values[static_cast<std::size_t>(row * shade.columns + column)] = 1.0 / std::max(0.1, factor);
+    }
+  }
+  return shade;
 }
 
 }  // namespace trem::align

@@ -93,7 +93,9 @@ void Equations::EvaluateControl(SolveReport& report) {
 
 Status Equations::ComputeSigmas(SolveReport& report) {
   // Held or not, the shared attitude error is part of what is not known of the absolute place.
-  if (has_attitude_bias_) problem_->SetParameterBlockVariable(attitude_bias_.data());
+  for (auto& [recording, shared] : shared_) {
+    if (shared.has_attitude) problem_->SetParameterBlockVariable(shared.attitude.data());
+  }
   ceres::Problem::EvaluateOptions evaluate;
   evaluate.num_threads = 1;
   int columns = 0;
@@ -111,8 +113,10 @@ Status Equations::ComputeSigmas(SolveReport& report) {
   for (std::size_t f = 0; f < graph_.frames.size(); ++f) {
     if (state_.frames[f].piece >= 0) take(frame_parameters_[f].data(), state_.frames[f].camera ? kCameraParameters : kMapParameters);
   }
-  if (has_position_bias_) take(position_bias_.data(), 3);
-  if (has_attitude_bias_) take(attitude_bias_.data(), 3);
+  for (auto& [recording, shared] : shared_) {
+    take(shared.position.data(), 3);
+    if (shared.has_attitude) take(shared.attitude.data(), 3);
+  }
   const ceres::Manifold* const lens = problem_->GetManifold(lens_.data());
   take(lens_.data(), lens == nullptr ? kLensParameters : lens->TangentSize());
   ceres::CRSMatrix crs;

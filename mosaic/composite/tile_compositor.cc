@@ -26,7 +26,10 @@ struct PlacedScene {
   std::size_t index = 0;
   Homography scene_from_mosaic;
   Roi roi_in_mosaic;  // Of the tile; pixels that it may cover.
+  int shift_cells = 0;  // What relief shifts at most.
 };
+
+Roi Grown(const Roi& roi, int margin) { return {roi.x0 - margin, roi.y0 - margin, roi.x1 + margin, roi.y1 + margin}; }
 
 Result<PlacedScene> Place(const MosaicGrid& grid, const CompositeScene& scene, std::size_t index) {
   if (scene.raster_in_scene.empty()) return Corrupt(Name(scene) + " has no cells");
@@ -42,17 +45,20 @@ Result<PlacedScene> Place(const MosaicGrid& grid, const CompositeScene& scene, s
   placed.scene_from_mosaic = mosaic_from_scene->Inverse();
   if (!placed.scene_from_mosaic.matrix.allFinite()) return Corrupt(Name(scene) + ": world_from_scene is singular");
   const Roi all{0, 0, grid.width, grid.height};
-  placed.roi_in_mosaic = BoundingRoi(ProjectRoi(*mosaic_from_scene, raster), all).value_or(Roi{});
+  placed.shift_cells = static_cast<int>(std::ceil(LargestShift(scene.shifts)));
+  placed.roi_in_mosaic = BoundingRoi(ProjectRoi(*mosaic_from_scene, Grown(raster, placed.shift_cells)), all).value_or(Roi{});
   return placed;
 }
 
 // Cells of the scene that the mosaic pixels of `roi` may need, relative to the raster; nullopt when none.
 std::optional<Roi> NeededCells(const PlacedScene& placed, const CompositeScene& scene, const Roi& roi, int margin) {
   const Roi& raster = scene.raster_in_scene;
-  std::optional<Roi> cells = BoundingRoi(ProjectRoi(placed.scene_from_mosaic, roi), raster);
-  if (!cells) return std::nullopt;
-  const Roi grown{cells->x0 - margin, cells->y0 - margin, cells->x1 + margin, cells->y1 + margin};
-  const Roi clipped = Intersect(grown, raster);
+  const int shift = placed.shift_cells;
+  const std::optional<Roi> level = BoundingRoi(ProjectRoi(placed.scene_from_mosaic, roi), Grown(raster, shift));
+  if (!level) return std::nullopt;
+  const Roi cells = Intersect(Grown(*level, shift), raster);
+  if (cells.empty()) return std::nullopt;
+  const Roi clipped = Intersect(Grown(cells, margin), raster);
   return Roi{clipped.x0 - raster.x0, clipped.y0 - raster.y0, clipped.x1 - raster.x0, clipped.y1 - raster.y0};
 }
 
@@ -165,7 +171,7 @@ Result<std::optional<WarpedScene>> WarpOnto(const PlacedScene& placed, const Com
   TREM_ASSIGN_OR_RETURN(SceneRaster raster, reader(placed.index, *cells));
   Result<WarpSource> source = PrepareWarp(std::move(raster), scene.raster_in_scene);
   if (!source.ok()) return source.status().WithPrefix(Name(scene));
-  return std::optional<WarpedScene>(WarpScene(*source, placed.scene_from_mosaic, roi));
+  return std::optional<WarpedScene>(WarpScene(*source, {placed.scene_from_mosaic, scene.shifts, scene.shade}, roi));
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "mosaic/base/image.h"
 #include "mosaic/base/status.h"
 #include "mosaic/composite/median.h"
+#include "mosaic/geometry/cell_grid.h"
 #include "mosaic/geometry/homography.h"
 #include "mosaic/geometry/mosaic_grid.h"
 #include "mosaic/geometry/roi.h"
@@ -20,6 +21,8 @@ struct CompositeScene {
   std::uint32_t window_id = 0;
   std::uint32_t scene_id = 0;
   Homography world_from_scene;  // World coordinates of the mosaic's CRS from cells of the scene plane.
+  CellShifts shifts;            // What relief adds to it; see cell_grid.h. Empty: nothing.
+  CellGrid<double> shade;       // Factors on the intensity before gain and offset, over cells of the scene plane. Empty: none.
   Roi raster_in_scene;          // Cells that the scene's raster holds.
   double gain = 1.0;            // Balanced intensity = gain * scene + offset.
   double offset = 0.0;

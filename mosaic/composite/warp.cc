@@ -161,7 +161,7 @@ Result<WarpSource> PrepareWarp(SceneRaster raster, const Roi& raster_in_scene) {
   return source;
 }
 
-WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mosaic, const Roi& roi_in_mosaic) {
+WarpedScene WarpScene(const WarpSource& source, const WarpMap& map, const Roi& roi_in_mosaic) {
   WarpedScene warped;
   warped.roi_in_mosaic = roi_in_mosaic;
   const int width = roi_in_mosaic.width();
@@ -170,7 +170,7 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
   warped.information = Image<float>(width, height, 0.0f);
   warped.border_distance = Image<float>(width, height, 0.0f);
   warped.detail = Image<float>(width, height, 0.0f);
-  const Eigen::Matrix3d& m = scene_from_mosaic.matrix;
+  const Eigen::Matrix3d& m = map.scene_from_mosaic.matrix;
   const int source_width = source.intensity.width();
   const int source_height = source.intensity.height();
   Taps tx, ty;
@@ -180,16 +180,23 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
       const double x = roi_in_mosaic.x0 + column;
       const double depth = m(2, 0) * x + m(2, 1) * y + m(2, 2);
       if (!IsVisibleDepth(depth)) continue;
-      const double u = (m(0, 0) * x + m(0, 1) * y + m(0, 2)) / depth;
-      const double v = (m(1, 0) * x + m(1, 1) * y + m(1, 2)) / depth;
+      const double level_u = (m(0, 0) * x + m(0, 1) * y + m(0, 2)) / depth;
+      const double level_v = (m(1, 0) * x + m(1, 1) * y + m(1, 2)) / depth;
+      double u = level_u, v = level_v;
+      if (!map.shifts.empty()) {
+        const Eigen::Vector2d shift = map.shifts.At({level_u, level_v});
+        u += shift.x();
+        v += shift.y();
+      }
       // In cells of the images. The subtraction of whole cells is exact, so the fraction does not depend on the part that was read.
       const double nearest_u = std::floor(u + 0.5), nearest_v = std::floor(v + 0.5);
       const double cell_x = nearest_u - source.roi_in_scene.x0, cell_y = nearest_v - source.roi_in_scene.y0;
       if (!(cell_x >= 0.0 && cell_y >= 0.0 && cell_x < source_width && cell_y < source_height)) continue;
       const float distance = source.border_distance.at(static_cast<int>(cell_x), static_cast<int>(cell_y));
       if (!(distance > 0.0f)) continue;
-      const double u_x = (m(0, 0) - u * m(2, 0)) / depth, u_y = (m(0, 1) - u * m(2, 1)) / depth;
-      const double v_x = (m(1, 0) - v * m(2, 0)) / depth, v_y = (m(1, 1) - v * m(2, 1)) / depth;
+      // What hills stretch is left out here: a hundredth or two of a step decide no kernel.
+      const double u_x = (m(0, 0) - level_u * m(2, 0)) / depth, u_y = (m(0, 1) - level_u * m(2, 1)) / depth;
+      const double v_x = (m(1, 0) - level_v * m(2, 0)) / depth, v_y = (m(1, 1) - level_v * m(2, 1)) / depth;
       const double scale_u = KernelScale(SquaredNorm(u_x, u_y));
       const double scale_v = KernelScale(SquaredNorm(v_x, v_y));
       ComputeTaps(u - nearest_u, scale_u, &tx);
@@ -199,6 +206,7 @@ WarpedScene WarpScene(const WarpSource& source, const Homography& scene_from_mos
       const bool surely_seen = distance > 2.0 * (scale_u + scale_v) + 1.5;
       Sample sample;
       if (!Convolve(source, tx, ty, surely_seen, &sample)) continue;
+      if (!map.shade.empty()) sample.intensity *= map.shade.At({u, v});
       warped.intensity.at(column, row) = static_cast<float>(sample.intensity);
       warped.information.at(column, row) = static_cast<float>(sample.information);
       warped.border_distance.at(column, row) = distance;

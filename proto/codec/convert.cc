@@ -3,6 +3,7 @@
 #include <google/protobuf/io/coded_stream.h>
 #include <google/protobuf/io/zero_copy_stream_impl_lite.h>
 
+#include <algorithm>
 #include <cmath>
 
 namespace trem {
@@ -10,6 +11,7 @@ namespace {
 
 constexpr std::uint64_t kProtoArtefactBytesMax = 512ULL << 20;
 constexpr int kMosaicSideMax = 1 << 24;
+constexpr std::uint32_t kCellGridSideMax = 4096;
 
 Status CheckNumbers(const google::protobuf::RepeatedField<double>& numbers, int expected, const char* field) {
   if (numbers.size() != expected) {
@@ -19,6 +21,37 @@ Status CheckNumbers(const google::protobuf::RepeatedField<double>& numbers, int 
     if (!std::isfinite(number)) return Corrupt(std::string(field) + " holds a number that is not finite");
   }
   return {};
+}
+
+template <typename Value>
+void PlaceToProto(const CellGrid<Value>& grid, v1::CellGrid* message) {
+  message->set_first_x(grid.first.x());
+  message->set_first_y(grid.first.y());
+  message->set_step(grid.step);
+  message->set_columns(static_cast<std::uint32_t>(grid.columns));
+  message->set_rows(static_cast<std::uint32_t>(grid.rows));
+}
+
+// The grid without its values, after all of the message has been checked.
+template <typename Value>
+Result<CellGrid<Value>> PlaceFromProto(const v1::CellGrid& message, int values_per_node, const char* field) {
+  const bool sized = message.columns() >= 2 && message.rows() >= 2 && message.columns() <= kCellGridSideMax &&
+                     message.rows() <= kCellGridSideMax &&
+                     static_cast<std::uint64_t>(message.values_size()) ==
+                         std::uint64_t{message.columns()} * message.rows() * static_cast<std::uint64_t>(values_per_node);
+  const bool placed =
+      std::isfinite(message.first_x()) && std::isfinite(message.first_y()) && std::isfinite(message.step()) && message.step() > 0.0;
+  if (!sized || !placed || !std::all_of(message.values().begin(), message.values().end(), [](float v) { return std::isfinite(v); })) {
+    return Corrupt(std::string(field) + " is no grid: " + std::to_string(message.values_size()) + " values for " +
+                   std::to_string(message.columns()) + " x " + std::to_string(message.rows()) + " nodes " + std::to_string(message.step()) +
+                   " apart; expected " + std::to_string(values_per_node) + " finite ones a node");
+  }
+  CellGrid<Value> grid;
+  grid.first = {message.first_x(), message.first_y()};
+  grid.step = message.step();
+  grid.columns = static_cast<int>(message.columns());
+  grid.rows = static_cast<int>(message.rows());
+  return grid;
 }
 
 }  // namespace
@@ -123,6 +156,33 @@ Result<Homography> HomographyFromProto(const google::protobuf::RepeatedField<dou
   Homography homography;
   for (int i = 0; i < 9; ++i) homography.matrix(i / 3, i % 3) = numbers[i];
   return homography;
+}
+
+void ToProto(const CellShifts& shifts, v1::CellGrid* message) {
+  PlaceToProto(shifts, message);
+  for (const Eigen::Vector2d& shift : shifts.values) {
+    message->add_values(static_cast<float>(shift.x()));
+    message->add_values(static_cast<float>(shift.y()));
+  }
+}
+
+void ToProto(const CellGrid<double>& grid, v1::CellGrid* message) {
+  PlaceToProto(grid, message);
+  for (const double value : grid.values) message->add_values(static_cast<float>(value));
+}
+
+Result<CellShifts> CellShiftsFromProto(const v1::CellGrid& message, const char* field) {
+  if (message.values().empty() && message.columns() == 0) return CellShifts();
+  TREM_ASSIGN_OR_RETURN(CellShifts shifts, PlaceFromProto<Eigen::Vector2d>(message, 2, field));
+  for (int i = 0; i + 1 < message.values_size(); i += 2) shifts.values.emplace_back(message.values(i), message.values(i + 1));
+  return shifts;
+}
+
+Result<CellGrid<double>> CellGridFromProto(const v1::CellGrid& message, const char* field) {
+  if (message.values().empty() && message.columns() == 0) return CellGrid<double>();
+  TREM_ASSIGN_OR_RETURN(CellGrid<double> grid, PlaceFromProto<double>(message, 1, field));
+  grid.values.assign(message.values().begin(), message.values().end());
+  return grid;
 }
 
 std::string SerializeDeterministic(const google::protobuf::Message& message) {

@@ -3,9 +3,10 @@
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/status.h"
 #include "mosaic/geometry/affine.h"
+#include "mosaic/geometry/cell_grid.h"
 #include "mosaic/geometry/homography.h"
-#include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/mosaic_grid.h"
+#include "mosaic/geometry/planar_map.h"
 #include "mosaic/geometry/roi.h"
 #include "proto/trem/v1/task.pb.h"
 
@@ -31,6 +32,12 @@ Result<Affine> AffineFromProto(const google::protobuf::RepeatedField<double>& nu
 // 6 numbers (2x3) or 9 (3x3, the last one 1), row-major.
 Result<PlanarMap> PlanarMapFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field);
 Result<Homography> HomographyFromProto(const google::protobuf::RepeatedField<double>& numbers, const char* field);
+
+// Two values a node; a grid of one value a node. `field` names the message in errors; an absent message is an empty grid.
+void ToProto(const CellShifts& shifts, v1::CellGrid* message);
+void ToProto(const CellGrid<double>& grid, v1::CellGrid* message);
+Result<CellShifts> CellShiftsFromProto(const v1::CellGrid& message, const char* field);
+Result<CellGrid<double>> CellGridFromProto(const v1::CellGrid& message, const char* field);
 
 // Deterministic bytes of a message (map-free schemas, fixed field order): what artefacts are made of.
 std::string SerializeDeterministic(const google::protobuf::Message& message);

@@ -92,6 +92,7 @@ void CompleteTelemetry(v1::Telemetry* telemetry, RangeChecker* check) {
   if (telemetry->has_yaw_deg()) check->Number("telemetry.yaw_deg", telemetry->yaw_deg(), -360.0, 360.0);
   if (telemetry->has_pitch_deg()) check->Number("telemetry.pitch_deg", telemetry->pitch_deg(), -90.0, 90.0);
   if (telemetry->has_roll_deg()) check->Number("telemetry.roll_deg", telemetry->roll_deg(), -360.0, 360.0);
+  if (telemetry->focal_sigma_percent() != 0.0) check->Number("telemetry.focal_sigma_percent", telemetry->focal_sigma_percent(), 1e-4, 50.0);
   if (telemetry->has_time_offset_s()) check->Number("telemetry.time_offset_s", telemetry->time_offset_s(), -86400.0, 86400.0);
 }
 
@@ -233,6 +234,17 @@ Status CompleteSortie(v1::Sortie* sortie) {
   CompleteWindows(sortie->mutable_windows(), &check);
   CompleteMosaic(sortie->mutable_mosaic(), &check);
   CompleteControl(sortie->mutable_control(), &check);
+  for (int k = 0; k < sortie->more_size(); ++k) {
+    v1::Recording* const recording = sortie->mutable_more(k);
+    const std::string where = fmt::format("more[{}]", k);
+    if (recording->source().path().empty()) check.Refuse(where + ".source.path", "missing", "a video file, a folder of images or a glob");
+    RangeChecker own;
+    CompleteSource(recording->mutable_source(), &own);
+    CompleteTelemetry(recording->mutable_telemetry(), &own);
+    if (!own.status().ok()) return own.status().WithPrefix(where);
+  }
+  constexpr int kRecordingsMax = 1000;
+  check.Whole("the number of recordings in more", static_cast<std::uint64_t>(sortie->more_size()), 0, kRecordingsMax);
   if (sortie->name().empty()) sortie->set_name(NameOfSource(sortie->source().path()));
   return check.status();
 }

@@ -16,6 +16,8 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::uint64_t kSpecFileBytesMax = std::uint64_t{1} << 20;
+// Of an override that adds a recording instead of changing a field.
+constexpr std::string_view kMorePrefix = "more=";
 
 bool Exists(const fs::path& path) {
   if (path.string().starts_with("/vsi")) return true;  // GDAL's virtual paths: whoever opens them will see.
@@ -65,6 +67,28 @@ Status CheckSource(const v1::Source& source) {
   return {};
 }
 
+Status CheckRecording(const v1::Source& source, const v1::Telemetry& telemetry) {
+  TREM_RETURN_IF_ERROR(CheckSource(source));
+  if (!telemetry.path().empty() && !telemetry.ignore()) {
+    TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", telemetry.path(), "a telemetry.csv, .srt or .gpx file"));
+  }
+  return telemetry.dem_path().empty() ? Status() : CheckThere("telemetry.dem_path: ", telemetry.dem_path(), "an elevation model");
+}
+
+// A spec file's sortie with its paths made absolute, or one of a source.
+Result<v1::Sortie> ReadSortie(const std::string& argument, const std::string& folder) {
+  v1::Sortie sortie;
+  std::error_code ignored;
+  if ((argument.ends_with(".textproto") || argument.ends_with(".json")) && fs::is_regular_file(argument, ignored)) {
+    TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(argument, kSpecFileBytesMax));
+    TREM_ASSIGN_OR_RETURN(sortie, ParseSortieSpec(text, argument));
+    MakeAbsolute(fs::path(Absolute(argument, folder)).parent_path(), &sortie);
+  } else {
+    sortie.mutable_source()->set_path(argument);
+  }
+  return sortie;
+}
+
 Status CheckSensorFiles(const v1::Sensor& sensor) {
   const auto check = [](const std::string& field, const std::string& path, const std::string& expected) {
     return path.empty() ? Status() : CheckThere(field, path, expected);
@@ -83,24 +107,24 @@ Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std
     return NotFound(fmt::format("{}: {} (looked from {}); expected a sortie spec, a video, a folder of images or a glob",
                                 IsGlob(argument) ? "nothing matches the glob" : "no such file or folder", argument, folder));
   }
-  v1::Sortie sortie;
-  std::error_code ignored;
-  if ((argument.ends_with(".textproto") || argument.ends_with(".json")) && fs::is_regular_file(argument, ignored)) {
-    TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(argument, kSpecFileBytesMax));
-    TREM_ASSIGN_OR_RETURN(sortie, ParseSortieSpec(text, argument));
-    MakeAbsolute(fs::path(Absolute(argument, folder)).parent_path(), &sortie);
-  } else {
-    sortie.mutable_source()->set_path(argument);
+  TREM_ASSIGN_OR_RETURN(v1::Sortie sortie, ReadSortie(argument, folder));
+  for (const std::string& assignment : overrides) {
+    if (!assignment.starts_with(kMorePrefix)) {
+      TREM_RETURN_IF_ERROR(ApplyOverride(assignment, &sortie));
+      continue;
+    }
+    const std::string path = assignment.substr(kMorePrefix.size());
+    TREM_RETURN_IF_ERROR(CheckThere("--set more: ", path, "a sortie spec, a video, a folder of images or a glob"));
+    TREM_ASSIGN_OR_RETURN(const v1::Sortie other, ReadSortie(path, folder));
+    *sortie.add_more()->mutable_source() = other.source();
+    *sortie.mutable_more(sortie.more_size() - 1)->mutable_telemetry() = other.telemetry();
+    for (const v1::Recording& recording : other.more()) *sortie.add_more() = recording;
   }
-  for (const std::string& assignment : overrides) TREM_RETURN_IF_ERROR(ApplyOverride(assignment, &sortie));
   MakeAbsolute(folder, &sortie);  // Paths typed on the command line.
   TREM_RETURN_IF_ERROR(CompleteSortie(&sortie).WithPrefix(argument));
-  TREM_RETURN_IF_ERROR(CheckSource(sortie.source()));
-  if (!sortie.telemetry().path().empty() && !sortie.telemetry().ignore()) {
-    TREM_RETURN_IF_ERROR(CheckThere("telemetry.path: ", sortie.telemetry().path(), "a telemetry.csv, .srt or .gpx file"));
-  }
-  if (!sortie.telemetry().dem_path().empty()) {
-    TREM_RETURN_IF_ERROR(CheckThere("telemetry.dem_path: ", sortie.telemetry().dem_path(), "an elevation model"));
+  TREM_RETURN_IF_ERROR(CheckRecording(sortie.source(), sortie.telemetry()));
+  for (int k = 0; k < sortie.more_size(); ++k) {
+    TREM_RETURN_IF_ERROR(CheckRecording(sortie.more(k).source(), sortie.more(k).telemetry()).WithPrefix(fmt::format("more[{}]", k)));
   }
   if (!sortie.control().path().empty()) TREM_RETURN_IF_ERROR(CheckThere("control.path: ", sortie.control().path(), "a gcp.csv"));
   TREM_RETURN_IF_ERROR(CheckSensorFiles(sortie.sensor()));

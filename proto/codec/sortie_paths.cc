@@ -16,6 +16,11 @@ std::vector<SortiePath> PathsOf(v1::Sortie* sortie) {
   add("sensor.mask_path", sortie->sensor().mask_path(), [&] { return sortie->mutable_sensor()->mutable_mask_path(); });
   add("control.path", sortie->control().path(), [&] { return sortie->mutable_control()->mutable_path(); });
   add("mosaic.cutline_path", sortie->mosaic().cutline_path(), [&] { return sortie->mutable_mosaic()->mutable_cutline_path(); });
+  for (v1::Recording& recording : *sortie->mutable_more()) {
+    add("more.source.path", recording.source().path(), [&] { return recording.mutable_source()->mutable_path(); });
+    add("more.telemetry.path", recording.telemetry().path(), [&] { return recording.mutable_telemetry()->mutable_path(); });
+    add("more.telemetry.dem_path", recording.telemetry().dem_path(), [&] { return recording.mutable_telemetry()->mutable_dem_path(); });
+  }
   return paths;
 }
 

@@ -21,7 +21,8 @@ Status ApplyOverride(const std::string& assignment, v1::Sortie* sortie);
 Status CompleteSortie(v1::Sortie* sortie);
 
 // What the command line calls SORTIE: a spec file (.textproto, .json), a video file, a folder of images, or a glob. Returns the
-// complete spec with absolute, normalised paths. kNotFound when the path (or glob) matches nothing.
+// complete spec with absolute, normalised paths. An override "more=SORTIE" adds that sortie's source and telemetry as one more recording.
+// kNotFound when the path (or glob) matches nothing.
 Result<v1::Sortie> LoadSortie(const std::string& argument, const std::vector<std::string>& overrides);
 
 }  // namespace trem

@@ -307,7 +307,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   TREM_ASSIGN_OR_RETURN(const ArtefactStore store, ArtefactStore::Open(scratch.path()));
 
   TREM_ASSIGN_OR_RETURN(const v1::TaskResult ingested, RunWithProgress("reading", arguments, store, ingest));
-  TREM_CHECK(ingested.outputs_size() == 1);
+  TREM_CHECK(ingested.outputs_size() >= 1);
   v1::SortieManifest manifest;
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, ingested.outputs(0), &manifest));
 

@@ -32,16 +32,17 @@ Result<v1::Sortie> InputFiles::Bring(const v1::Sortie& sortie, const ArtefactSto
     source_ = sortie.source().path();
   }
   v1::Sortie here = sortie;
-  TREM_RETURN_IF_ERROR(BringBeside(sortie));
+  TREM_RETURN_IF_ERROR(BringBeside(sortie.source(), sortie.telemetry()));
+  for (const v1::Recording& recording : sortie.more()) TREM_RETURN_IF_ERROR(BringBeside(recording.source(), recording.telemetry()));
   for (const SortiePath& named : PathsOf(&here)) TREM_RETURN_IF_ERROR(BringPath(store, named.path).WithPrefix(named.field));
   return here;
 }
 
 // What the search for telemetry would look at beside a source that lies elsewhere, at the same place relative to it. (A folder's own
 // telemetry.csv comes with the folder.)
-Status InputFiles::BringBeside(const v1::Sortie& sortie) const {
-  const fs::path source = sortie.source().path();
-  if (!IsVsiPath(source.string()) || sortie.telemetry().ignore() || !sortie.telemetry().path().empty()) return {};
+Status InputFiles::BringBeside(const v1::Source& recording, const v1::Telemetry& telemetry) const {
+  const fs::path source = recording.path();
+  if (!IsVsiPath(source.string()) || telemetry.ignore() || !telemetry.path().empty()) return {};
   std::vector<fs::path> candidates = {source.parent_path() / "telemetry.csv"};
   for (const char* extension : {".srt", ".SRT", ".gpx", ".GPX"}) candidates.push_back(fs::path(source).replace_extension(extension));
   for (const fs::path& candidate : candidates) {

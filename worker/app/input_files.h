@@ -23,7 +23,7 @@ class InputFiles {
 
  private:
   explicit InputFiles(std::filesystem::path folder) : folder_(std::move(folder)) {}
-  Status BringBeside(const v1::Sortie& sortie) const;
+  Status BringBeside(const v1::Source& recording, const v1::Telemetry& telemetry) const;
   Status BringPath(const ArtefactStore& store, std::string* path);
   Status BringUpload(const ArtefactStore& store, const std::string& upload);
 

@@ -49,6 +49,7 @@ void AddSensorOptions(CLI::App* app, SimulationOptions* o) {
   app->add_option("--offset", o->offset, "Grey levels")->group(group);
   app->add_option("--gain-drift", o->gain_drift, "Smooth drift, standard deviation, relative")->group(group);
   app->add_option("--offset-drift", o->offset_drift, "Smooth drift, standard deviation, grey levels")->group(group);
+  app->add_option("--vignetting", o->vignetting, "Part of the gain lost in the image's corners")->group(group);
   app->add_option("--exposure-step", o->exposure_step, "The gain steps down and up again by this part, five times")->group(group);
   app->add_option("--noise-sigma", o->noise_sigma, "White noise, grey levels")->group(group);
   app->add_option("--shot-noise", o->shot_noise, "Photon noise: variance per grey level")->group(group);

@@ -36,6 +36,7 @@ struct SimulationOptions {
   double offset = 20.0;
   double gain_drift = 0.03;   // Standard deviation of the smooth drift, relative.
   double offset_drift = 2.0;  // Grey levels.
+  double vignetting = 0.0;    // Part of the light, offset included, that the image's corners lose; grows with the square of the distance.
   double exposure_step = 0.0;  // Relative step of the gain, up and down in turn, five times in a sortie.
   double noise_sigma = 2.0;
   double shot_noise = 0.0;       // Variance per grey level, on top of noise_sigma^2.

@@ -97,6 +97,7 @@ Json SimulationJson(const SimulationOptions& o, const Truth& truth, const Flight
               {"offset", o.offset},
               {"gain_drift", o.gain_drift},
               {"offset_drift", o.offset_drift},
+              {"vignetting", o.vignetting},
               {"exposure_step", o.exposure_step},
               {"noise_sigma", o.noise_sigma},
               {"shot_noise", o.shot_noise},

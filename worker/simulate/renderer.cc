@@ -146,6 +146,14 @@ Image<double> Renderer::Radiance(const Exposure& exposure) const {
   return radiance;
 }
 
+double Renderer::LensFactor(std::size_t pixel) const {
+  if (options_.vignetting == 0.0) return 1.0;
+  const auto width = static_cast<std::size_t>(options_.width_px);
+  const double half_x = 0.5 * (options_.width_px - 1), half_y = 0.5 * (options_.height_px - 1);
+  const double x = static_cast<double>(pixel % width) - half_x, y = static_cast<double>(pixel / width) - half_y;
+  return 1.0 - options_.vignetting * (x * x + y * y) / (half_x * half_x + half_y * half_y);
+}
+
 Image<std::uint16_t> Renderer::Frame(const Exposure& exposure) const {
   const Image<double> radiance = Radiance(exposure);
   const double counts_per_grey = options_.bit_depth == 16 ? 256.0 : 1.0;
@@ -153,7 +161,7 @@ Image<std::uint16_t> Renderer::Frame(const Exposure& exposure) const {
   Rng noise({options_.seed, kNoise, static_cast<std::uint64_t>(exposure.index)});
   Image<std::uint16_t> frame(options_.width_px, options_.height_px);
   for (std::size_t i = 0; i < frame.pixels().size(); ++i) {
-    const double level = exposure.gain * radiance.pixels()[i] + exposure.offset;
+    const double level = LensFactor(i) * (exposure.gain * radiance.pixels()[i] + exposure.offset);
     const double variance = options_.noise_sigma * options_.noise_sigma + options_.shot_noise * std::max(level, 0.0);
     double grey = level + (options_.shot_noise > 0.0 ? std::sqrt(variance) : options_.noise_sigma) * noise.Normal();
     if (!fixed_pattern_.empty()) grey += fixed_pattern_.pixels()[i];

@@ -49,6 +49,9 @@ class Renderer {
   Image<std::uint16_t> Frame(const Exposure& exposure) const;
 
  private:
+  // What the lens leaves of the light at a pixel (row-major index).
+  double LensFactor(std::size_t pixel) const;
+
   Image<float> Supersampled(const Exposure& exposure) const;
   void DrawMovers(const Exposure& exposure, Image<float>* fine) const;
   Eigen::Vector2d PixelFromFine(int x, int y) const;

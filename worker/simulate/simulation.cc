@@ -180,6 +180,7 @@ Status CheckSimulationOptions(const SimulationOptions& o) {
   TREM_RETURN_IF_ERROR(CheckRange("--offset", o.offset, -255, 255));
   TREM_RETURN_IF_ERROR(CheckRange("--gain-drift", o.gain_drift, 0, 0.3));
   TREM_RETURN_IF_ERROR(CheckRange("--offset-drift", o.offset_drift, 0, 100));
+  TREM_RETURN_IF_ERROR(CheckRange("--vignetting", o.vignetting, 0, 0.9));
   TREM_RETURN_IF_ERROR(CheckRange("--exposure-step", o.exposure_step, 0, 0.9));
   TREM_RETURN_IF_ERROR(CheckRange("--noise-sigma", o.noise_sigma, 0, 100));
   TREM_RETURN_IF_ERROR(CheckRange("--shot-noise", o.shot_noise, 0, 100));

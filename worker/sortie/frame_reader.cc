@@ -80,7 +80,58 @@ Result<std::unique_ptr<FrameReader>> OpenVideoFrames(const v1::SortieManifest& m
 
 }  // namespace
 
+namespace {
+
+// Frames of several recordings, each read as if it were the only one.
+class RecordingFrames : public FrameReader {
+ public:
+  static Result<std::unique_ptr<FrameReader>> Open(const v1::SortieManifest& manifest) {
+    auto frames = std::make_unique<RecordingFrames>();
+    for (const v1::RecordingManifest& recording : manifest.recordings()) {
+      if (recording.frame_begin() > recording.frame_end() || recording.frame_end() > static_cast<std::uint32_t>(manifest.frames_size()))
+        return Corrupt("manifest of " + recording.source_path() + ": its recording has frames beyond the manifest's");
+      Part part;
+      part.begin = static_cast<int>(recording.frame_begin());
+      part.end = static_cast<int>(recording.frame_end());
+      part.manifest = std::make_unique<v1::SortieManifest>();
+      part.manifest->set_source_path(recording.source_path());
+      part.manifest->set_source_kind(recording.source_kind());
+      part.manifest->set_width_px(manifest.width_px());
+      part.manifest->set_height_px(manifest.height_px());
+      part.manifest->set_deinterlaced(recording.deinterlaced());
+      part.manifest->set_video_from_start(recording.video_from_start());
+      for (int i = part.begin; i < part.end; ++i) *part.manifest->add_frames() = manifest.frames(i);
+      frames->parts_.push_back(std::move(part));
+    }
+    return std::unique_ptr<FrameReader>(std::move(frames));
+  }
+
+  Result<Image<float>> Read(int index) override {
+    for (Part& part : parts_) {
+      if (index < part.begin || index >= part.end) continue;
+      if (part.reader == nullptr) {
+        TREM_ASSIGN_OR_RETURN(part.reader, OpenFrames(*part.manifest));
+      }
+      return part.reader->Read(index - part.begin);
+    }
+    return InvalidInput("frame " + std::to_string(index) + " was asked for; none of the " + std::to_string(parts_.size()) +
+                        " recordings has it");
+  }
+
+ private:
+  struct Part {
+    int begin = 0;
+    int end = 0;
+    std::unique_ptr<v1::SortieManifest> manifest;  // Lent to the reader.
+    std::unique_ptr<FrameReader> reader;           // Opened when it is needed.
+  };
+  std::vector<Part> parts_;
+};
+
+}  // namespace
+
 Result<std::unique_ptr<FrameReader>> OpenFrames(const v1::SortieManifest& manifest) {
+  if (manifest.recordings_size() > 0) return RecordingFrames::Open(manifest);
   switch (manifest.source_kind()) {
     case v1::IMAGE_SEQUENCE:
       return std::unique_ptr<FrameReader>(std::make_unique<ImageSequenceFrames>(manifest));

@@ -86,6 +86,12 @@ Status SourceGuard::CheckNamed(const v1::Sortie& sortie) const {
 
 Status SourceGuard::Check(const v1::Sortie& sortie) const {
   if (open_) return {};
+  for (const v1::Recording& recording : sortie.more()) {
+    v1::Sortie alone;
+    *alone.mutable_source() = recording.source();
+    *alone.mutable_telemetry() = recording.telemetry();
+    TREM_RETURN_IF_ERROR(Check(alone).WithPrefix("more"));
+  }
   const fs::path source = sortie.source().path();
   if (UploadOfPath(source.string())) return CheckNamed(sortie);
   if (!source.is_absolute()) return InvalidInput("source.path " + source.string() + " is relative; expected an absolute path");

@@ -3,11 +3,14 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
 
 #include "mosaic/raster/crs.h"
+#include "mosaic/raster/elevation_model.h"
 #include "proto/codec/convert.h"
 #include "worker/sortie/control_csv.h"
+#include "worker/sortie/sortie_ground.h"
 
 namespace trem {
 namespace {
@@ -157,24 +160,58 @@ class AnchorMaker {
   double scale_;
 };
 
+// Which of the manifest's recordings frame `t` belongs to.
+std::uint32_t RecordingOf(const v1::SortieManifest& manifest, std::uint32_t t) {
+  for (int k = 0; k < manifest.recordings_size(); ++k) {
+    if (t >= manifest.recordings(k).frame_begin() && t < manifest.recordings(k).frame_end()) return static_cast<std::uint32_t>(k);
+  }
+  return 0;
+}
+
+// Elevation of the ground below a place: of the elevation model, where there is one.
+double GroundBelow(const std::optional<GriddedGround>& ground, const v1::Pose& pose, double level_m) {
+  if (!ground) return level_m;
+  return ground->ElevationAt({pose.longitude_deg(), pose.latitude_deg()}).value_or(ground->lowest_m());
+}
+
+// Poses that wander from the image motion are turned to follow it, but their average may be off by as much as they wander: that error is
+// shared by a recording's frames. The manifest says it of each pose.
+void AddWander(const v1::SortieManifest& manifest, const std::vector<std::uint32_t>& with_telemetry, align::AlignInput* input) {
+  std::map<std::uint32_t, std::vector<double>> wander_rad;
+  for (const std::uint32_t t : with_telemetry) {
+    const v1::ManifestFrame& frame = manifest.frames(static_cast<int>(t));
+    if (UsablePose(frame)) wander_rad[RecordingOf(manifest, t)].push_back(std::max(0.0, frame.pose().attitude_sigma_deg()) * kRad);
+  }
+  for (auto& [recording, of_frames] : wander_rad) {
+    const auto middle = of_frames.begin() + static_cast<std::ptrdiff_t>(of_frames.size() / 2);
+    std::nth_element(of_frames.begin(), middle, of_frames.end());
+    align::TelemetrySigmas sigmas = input->SigmasOf(recording);
+    sigmas.attitude_rad = std::hypot(sigmas.attitude_rad, *middle);
+    input->recordings[recording] = sigmas;
+  }
+}
+
 Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest, AlignTaskInput& input) {
+  TREM_ASSIGN_OR_RETURN(const std::optional<GriddedGround> ground, GroundOfManifest(manifest));
   std::vector<std::uint32_t> with_telemetry;
   std::vector<std::uint32_t> below_ground;
   for (std::uint32_t t = 0; t < static_cast<std::uint32_t>(manifest.frames_size()); ++t) {
     const v1::ManifestFrame& frame = manifest.frames(static_cast<int>(t));
     const bool pose = UsablePose(frame);
-    if (pose && !(frame.pose().altitude_m() > input.align.ground_z_m)) {
+    if (pose && !(frame.pose().altitude_m() > GroundBelow(ground, frame.pose(), input.align.ground_z_m))) {
       below_ground.push_back(t);
     } else if (pose || HasCorners(frame)) {
       with_telemetry.push_back(t);
     }
   }
   if (!below_ground.empty()) {
-    input.notes.push_back(MakeNote("camera_below_ground", "frame " + manifest.frames(static_cast<int>(below_ground.front())).name(),
-                                   std::to_string(below_ground.size()) + " frames have an altitude at or below the ground elevation of " +
-                                       std::to_string(input.align.ground_z_m) +
-                                       " m; their telemetry is not used. Set telemetry.ground_elevation_m in the datum of altitude_m",
-                                   v1::WARNING));
+    input.notes.push_back(
+        MakeNote("camera_below_ground", "frame " + manifest.frames(static_cast<int>(below_ground.front())).name(),
+                 std::to_string(below_ground.size()) + " frames have an altitude at or below the ground elevation of " +
+                     (ground ? "the elevation model " + manifest.ground().path() : std::to_string(input.align.ground_z_m) + " m") +
+                     "; their telemetry is not used. Set telemetry." + (ground ? "dem_path to a model" : "ground_elevation_m") +
+                     " in the datum of altitude_m",
+                 v1::WARNING));
   }
   if (with_telemetry.empty() || sortie.telemetry().ignore()) return {};
   const auto [latitude_deg, longitude_deg] = PlaceOf(manifest.frames(static_cast<int>(with_telemetry[with_telemetry.size() / 2])));
@@ -186,10 +223,16 @@ Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest
   TREM_ASSIGN_OR_RETURN(input.scale, map->ScaleFactor(latitude_deg, longitude_deg));
   input.crs_wkt = map->wkt();
   input.map_from_working.matrix << input.scale, 0.0, origin.x(), 0.0, input.scale, origin.y(), 0.0, 0.0, 1.0;
+  if (ground) {
+    TREM_ASSIGN_OR_RETURN(GriddedGround in_world, GroundInWorld(*ground, *map, origin, input.scale));
+    input.align.ground = std::make_shared<GriddedGround>(std::move(in_world));
+  }
+  AddWander(manifest, with_telemetry, &input.align);
   const AnchorMaker maker(*map, origin, input.scale);
   for (const std::uint32_t t : with_telemetry) {
     Result<align::FrameAnchor> anchor = maker.Make(t, manifest.frames(static_cast<int>(t)), input.align.width_px);
     if (!anchor.ok()) return anchor.status().WithPrefix("frame " + manifest.frames(static_cast<int>(t)).name());
+    anchor->recording = RecordingOf(manifest, t);
     input.align.anchors.push_back(std::move(*anchor));
   }
   const std::vector<std::string> held_out = HeldOutNames(sortie.control());
@@ -200,6 +243,11 @@ Status AddTelemetry(const v1::Sortie& sortie, const v1::SortieManifest& manifest
   }
   input.telemetry = true;
   return {};
+}
+
+align::Boresight BoresightOf(v1::Correction correction) {
+  if (correction == v1::CORRECTION_ON) return align::Boresight::kEstimated;
+  return correction == v1::CORRECTION_OFF ? align::Boresight::kHeld : align::Boresight::kWhereSeen;
 }
 
 }  // namespace
@@ -228,8 +276,17 @@ Result<AlignTaskInput> MakeAlignInput(const v1::Sortie& sortie, const v1::Sortie
   align.ground_z_m = sortie.telemetry().has_ground_elevation_m() ? sortie.telemetry().ground_elevation_m() : manifest.ground_elevation_m();
   if (sortie.telemetry().position_sigma_m() > 0.0) align.position_sigma_m = sortie.telemetry().position_sigma_m();
   if (sortie.telemetry().attitude_sigma_deg() > 0.0) align.attitude_sigma_rad = sortie.telemetry().attitude_sigma_deg() * kRad;
+  align.focal_sigma = 0.01 * sortie.telemetry().focal_sigma_percent();
+  align.estimate_distortion = sortie.telemetry().estimate_distortion();
+  align.boresight = BoresightOf(sortie.telemetry().boresight());
   if (sortie.control().pixel_sigma_px() > 0.0) align.control_sigma_px = sortie.control().pixel_sigma_px();
   if (sortie.control().survey_sigma_m() > 0.0) align.control_sigma_m = sortie.control().survey_sigma_m();
+  for (int k = 1; k < manifest.recordings_size(); ++k) {
+    const v1::RecordingManifest& recording = manifest.recordings(k);
+    if (!(recording.position_sigma_m() > 0.0) || !(recording.attitude_sigma_deg() > 0.0))
+      return Corrupt("manifest.recordings[" + std::to_string(k) + "]: its sigmas are not positive");
+    align.recordings[static_cast<std::uint32_t>(k)] = {recording.position_sigma_m(), recording.attitude_sigma_deg() * kRad};
+  }
   for (const v1::WindowResult& window : windows) {
     const Status status = AddWindow(window, static_cast<std::uint32_t>(manifest.frames_size()), input);
     if (!status.ok()) return status.WithPrefix("window " + std::to_string(window.window_id()));

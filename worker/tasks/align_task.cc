@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "mosaic/align/align.h"
+#include "mosaic/align/level_ties.h"
 #include "mosaic/align/output_grid.h"
 #include "mosaic/composite/tile_compositor.h"
 #include "mosaic/raster/crs.h"
@@ -51,7 +52,9 @@ align::FeatureSource FeaturesFromStore(const ArtefactStore& store, const AlignTa
                      std::to_string(raster.intensity.width()) + " x " + std::to_string(raster.intensity.height()) + " cells; expected " +
                      ToString(roi));
     }
-    return align::ExtractFeatures(raster.intensity, raster.information, roi, graph.input.ratio, {});
+    align::SceneFeatures features = align::ExtractFeatures(raster.intensity, raster.information, roi, graph.input.ratio, {});
+    features.levels = align::MeanLevels(raster.intensity, raster.information, roi, graph.input.ratio);
+    return features;
   };
 }
 
@@ -83,7 +86,7 @@ Result<MosaicGrid> GridOf(const v1::Sortie& sortie, const AlignTaskInput& input,
     align::SceneFootprint footprint{scene.window_id, scene.scene_id, align::RoiCorners(scene.roi_in_scene)};
     for (Eigen::Vector2d& corner : footprint.corners) {
       const Eigen::Vector2d in_scene = corner;
-      corner = map_from_world * (scene.world_from_scene * in_scene);
+      corner = map_from_world * (scene.world_from_scene * Unshifted(scene.shifts, in_scene));
     }
     footprints.push_back(footprint);
   }
@@ -113,6 +116,8 @@ v1::Alignment ToMessage(const align::AlignSolution& solution, const MosaicGrid& 
     const Roi& roi = scene.roi_in_scene;
     map_from_scene.matrix /= map_from_scene.Depth({0.5 * (roi.x0 + roi.x1 - 1), 0.5 * (roi.y0 + roi.y1 - 1)});
     ToProto(map_from_scene, out->mutable_world_from_scene());
+    if (!scene.shifts.empty()) ToProto(scene.shifts, out->mutable_relief());
+    if (!scene.shade.empty()) ToProto(scene.shade, out->mutable_shade());
     out->set_gain(scene.balanced_from_scene.gain);
     out->set_offset(scene.balanced_from_scene.offset);
     out->set_position_sigma(scene.position_sigma * scale);

@@ -35,6 +35,8 @@ Result<std::vector<CompositeScene>> PlacedScenes(const v1::Alignment& alignment,
     scene.scene_id = aligned.scene_id();
     TREM_ASSIGN_OR_RETURN(scene.world_from_scene, HomographyFromProto(aligned.world_from_scene(), "AlignedScene.world_from_scene"));
     scene.raster_in_scene = FromProto(found->second.roi_in_scene());
+    TREM_ASSIGN_OR_RETURN(scene.shifts, CellShiftsFromProto(aligned.relief(), "AlignedScene.relief"));
+    TREM_ASSIGN_OR_RETURN(scene.shade, CellGridFromProto(aligned.shade(), "AlignedScene.shade"));
     scene.gain = aligned.gain();
     scene.offset = aligned.offset();
     scene.position_sigma = aligned.position_sigma();

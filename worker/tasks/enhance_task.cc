@@ -186,7 +186,9 @@ Result<EngineResult> FollowTarget(const v1::EnhanceParams& params, const v1::Sen
 Result<v1::TaskResult> RunEnhanceTask(const v1::TaskSpec& spec, const TaskContext& context) {
   cv::setNumThreads(1);
   v1::SortieManifest manifest;
-  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, "manifest.pb"));
+  // Of a job the manifest of the window's recording; see MergeRecordings.
+  const bool is_part = !InputsNamed(spec, "recording.pb").empty();
+  TREM_ASSIGN_OR_RETURN(const v1::ArtefactRef manifest_ref, SingleInput(spec, is_part ? "recording.pb" : "manifest.pb"));
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(*context.store, manifest_ref, &manifest));
   TREM_RETURN_IF_ERROR(CheckWindow(spec.enhance(), manifest));
   SnapshotWriter writer(*context.store);

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <opencv2/imgproc.hpp>
+#include <vector>
 
 namespace trem::score {
 namespace {
@@ -77,6 +79,39 @@ double Ssim(const Image<float>& truth, const Image<float>& image) {
 }
 
 }  // namespace
+
+Evenness MeasureEvenness(const Image<float>& truth, const Image<float>& image, int block_px) {
+  const int columns = image.width() / block_px, rows = image.height() / block_px;
+  Image<float> errors(std::max(1, columns), std::max(1, rows), std::numeric_limits<float>::quiet_NaN());
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      double sum = 0.0;
+      for (int y = row * block_px; y < (row + 1) * block_px; ++y) {
+        for (int x = column * block_px; x < (column + 1) * block_px; ++x) sum += static_cast<double>(image.at(x, y)) - truth.at(x, y);
+      }
+      errors.at(column, row) = static_cast<float>(sum / (block_px * block_px));  // NaN where a pixel is not compared.
+    }
+  }
+  Evenness evenness;
+  double squares = 0.0, count = 0.0;
+  std::vector<double> steps;
+  for (int row = 0; row < rows; ++row) {
+    for (int column = 0; column < columns; ++column) {
+      const float error = errors.at(column, row);
+      if (!std::isfinite(error)) continue;
+      squares += error * error;
+      count += 1.0;
+      if (column + 1 < columns && std::isfinite(errors.at(column + 1, row))) steps.push_back(std::abs(errors.at(column + 1, row) - error));
+      if (row + 1 < rows && std::isfinite(errors.at(column, row + 1))) steps.push_back(std::abs(errors.at(column, row + 1) - error));
+    }
+  }
+  if (count > 0.0) evenness.level_rms = std::sqrt(squares / count);
+  if (steps.empty()) return evenness;
+  const auto at = steps.begin() + static_cast<std::ptrdiff_t>(0.95 * static_cast<double>(steps.size() - 1));
+  std::nth_element(steps.begin(), at, steps.end());
+  evenness.step_p95 = *at;
+  return evenness;
+}
 
 Fidelity FitAndCompare(const Image<float>& truth, Image<float>* image) {
   FitToTruth(truth, image);

@@ -31,7 +31,34 @@ struct TrueFit {
   double gain_sum = 0.0;
   double offset_sum = 0.0;
   int views = 0;
+  std::vector<std::pair<PlanarMap, const Exposure*>> seen;  // scene_from_sensor of each frame.
 };
+
+// Where the frames show the places of nodes over the scene, on average of those whose ROI shows them, beside the fitted homography.
+CellShifts TrueShifts(const TrueFit& fit, const Homography& world_from_scene, const Roi& raster, const Roi& roi,
+                      const SimulationRecord& record) {
+  constexpr double kNodeCells = 24.0;
+  if (!record.truth.relief) return {};
+  CellShifts shifts = CellShifts::Over(Eigen::Vector2d(raster.x0, raster.y0), Eigen::Vector2d(raster.x1 - 1.0, raster.y1 - 1.0), kNodeCells,
+                                       Eigen::Vector2d::Zero());
+  for (int row = 0; row < shifts.rows; ++row) {
+    for (int column = 0; column < shifts.columns; ++column) {
+      const Eigen::Vector2d node = shifts.Node(column, row), place = world_from_scene * node;
+      Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+      double weight = 0.0;
+      for (const auto& [scene_from_sensor, exposure] : fit.seen) {
+        const Eigen::Vector2d u =
+            PixelFromGround(exposure->camera, record.flight.focal_px, record.options.width_px, record.options.height_px, place);
+        const bool inside = u.x() >= roi.x0 && u.y() >= roi.y0 && u.x() < roi.x1 && u.y() < roi.y1;
+        const double w = inside ? 1.0 : 1e-3;  // Where no ROI shows the node, all of them tell.
+        sum += w * (scene_from_sensor * u - node);
+        weight += w;
+      }
+      shifts.values[static_cast<std::size_t>(row * shifts.columns + column)] = sum / weight;
+    }
+  }
+  return shifts;
+}
 
 // Adds one view: the chain's cells and the true ground of the ROI's corners and centre.
 Status AddView(const v1::ChainView& view, const Roi& roi, const Exposure& exposure, const SimulationRecord& record, double grey_scale,
@@ -50,6 +77,7 @@ Status AddView(const v1::ChainView& view, const Roi& roi, const Exposure& exposu
   fit->gain_sum += grey_scale * view.gain() / (counts * exposure.gain);
   fit->offset_sum += ((grey_offset + grey_scale * view.offset()) / counts - exposure.offset) / exposure.gain;
   ++fit->views;
+  fit->seen.emplace_back(scene_from_sensor, &exposure);
   return {};
 }
 
@@ -111,7 +139,9 @@ Result<std::vector<ScenePlacement>> PlaceTruly(const KeptRun& run, const Simulat
   TREM_ASSIGN_OR_RETURN(const std::vector<CompositeScene> scenes, PlacedScenes(run.alignment, emitted, &rasters));
   const std::map<std::string, const Exposure*> exposures = ExposuresByName(record);
   std::map<SceneKey, TrueFit> fits;
+  std::map<std::uint32_t, Roi> rois;
   for (const v1::WindowResult& window : run.windows) {
+    rois[window.window_id()] = FromProto(window.roi_in_sensor());
     for (const v1::Segment& segment : window.segments()) {
       for (const v1::EmittedScene& scene : segment.scenes()) {
         TREM_ASSIGN_OR_RETURN(fits[SceneKey(window.window_id(), scene.scene_id())],
@@ -129,7 +159,9 @@ Result<std::vector<ScenePlacement>> PlaceTruly(const KeptRun& run, const Simulat
     TREM_ASSIGN_OR_RETURN(placement.true_world_from_scene, FitHomography(fit.x_in_scene, fit.x_in_world));
     const Roi& roi = scenes[i].raster_in_scene;
     const Eigen::Vector2d centre(0.5 * (roi.x0 + roi.x1 - 1), 0.5 * (roi.y0 + roi.y1 - 1));
-    placement.error_m = scenes[i].world_from_scene * centre - placement.true_world_from_scene * centre;
+    placement.true_shifts = TrueShifts(fit, placement.true_world_from_scene, roi, rois.at(scenes[i].window_id), record);
+    placement.error_m = scenes[i].world_from_scene * Unshifted(scenes[i].shifts, centre) -
+                        placement.true_world_from_scene * Unshifted(placement.true_shifts, centre);
     placement.true_gain = fit.gain_sum / fit.views;
     placement.true_offset = fit.offset_sum / fit.views;
     placements.push_back(placement);

@@ -33,6 +33,7 @@ struct ScenePlacement {
   Homography true_world_from_scene;  // From the true cameras of the frames that dominate it, least squares over the corners of their ROIs.
   Eigen::Vector2d error_m = Eigen::Vector2d::Zero();  // Of the scene's centre: aligned - true, map metres.
   // truth = true_gain * scene + true_offset by the true gains and offsets of those frames, grey levels of the truth.
+  CellShifts true_shifts;  // Over hills: what the same frames show away from true_world_from_scene.
   double true_gain = 1.0;
   double true_offset = 0.0;
 };

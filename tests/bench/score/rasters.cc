@@ -59,6 +59,23 @@ double Bicubic(const Image<float>& image, double x, double y) {
   return sum;
 }
 
+// The steps of a scene's 3:1 grid on the ground, cells of the truth: a third of a sensor pixel's footprint along the image's rows (first
+// column) and columns, at the image centre of the middle frame.
+Eigen::Matrix2d ScenesCells(const SimulationRecord& record) {
+  const Exposure& middle = record.flight.exposures[record.flight.exposures.size() / 2];
+  const int width = record.options.width_px, height = record.options.height_px;
+  const Eigen::Vector2d centre(0.5 * (width - 1), 0.5 * (height - 1));
+  const auto cell = [&](const Eigen::Vector2d& u) {
+    return record.truth.CellFromMap(GroundFromPixel(middle.camera, record.flight.focal_px, width, height, u));
+  };
+  Eigen::Matrix2d steps;
+  for (int axis = 0; axis < 2; ++axis) {
+    const Eigen::Vector2d half = 0.5 * Eigen::Vector2d::Unit(axis);
+    steps.col(axis) = (cell(centre + half) - cell(centre - half)) / 3.0;
+  }
+  return steps;
+}
+
 // All frames with gain and offset undone: the truth's grey levels.
 Result<std::vector<Image<float>>> ReadFrames(const std::filesystem::path& simulation, const SimulationRecord& record) {
   std::vector<Image<float>> frames;
@@ -106,7 +123,7 @@ Result<MosaicImage> ReadMosaic(const std::filesystem::path& path, const std::str
 
 Reference::Reference(const SimulationRecord& record) : truth_grid_(record.truth.grid) {
   const SplineSurface truth(record.truth.grey);
-  const double tap = record.options.cells_per_pixel / 3.0;
+  const Eigen::Matrix2d tap = ScenesCells(record);
   Image<float> filtered(truth.width(), truth.height());
   const auto inside = [](double v, int count) { return std::clamp(v, 0.0, count - 1.0); };
   for (int y = 0; y < filtered.height(); ++y) {
@@ -114,8 +131,9 @@ Reference::Reference(const SimulationRecord& record) : truth_grid_(record.truth.
       double sum = 0.0;
       for (int j = -1; j <= 1; ++j) {
         for (int i = -1; i <= 1; ++i) {
-          sum += (i == 0 ? 0.5 : 0.25) * (j == 0 ? 0.5 : 0.25) *
-                 truth.At(inside(x + i * tap, truth.width()), inside(y + j * tap, truth.height()));
+          sum +=
+              (i == 0 ? 0.5 : 0.25) * (j == 0 ? 0.5 : 0.25) *
+              truth.At(inside(x + i * tap(0, 0) + j * tap(0, 1), truth.width()), inside(y + i * tap(1, 0) + j * tap(1, 1), truth.height()));
         }
       }
       filtered.at(x, y) = static_cast<float>(sum);

@@ -126,6 +126,8 @@ Result<Score> ScoreMosaic(const std::filesystem::path& simulation, const std::fi
     }
   }
   score.mosaic = FitAndCompare(images.truth, &images.mosaic);
+  score.evenness =
+      MeasureEvenness(images.truth, images.mosaic, static_cast<int>(std::lround(8.0 * record.options.gsd_m / mosaic.grid.gsd)));
   score.bicubic = FitAndCompare(images.truth, &images.bicubic);
   score.gain_db = score.mosaic.psnr_db - score.bicubic.psnr_db;
   if (compared != nullptr) *compared = std::move(images);
@@ -141,32 +143,35 @@ std::string ToTable(const Score& s) {
       "relative distortion, 95%      {:8.3f} px\n"
       "PSNR / SSIM, mosaic           {:8.2f} dB      {:.4f}\n"
       "PSNR / SSIM, bicubic frame    {:8.2f} dB      {:.4f}\n"
-      "gain over the bicubic frame   {:+8.2f} dB      on {} pixels of {:.3f} m (sensor {:.3f} m)\n",
+      "gain over the bicubic frame   {:+8.2f} dB      on {} pixels of {:.3f} m (sensor {:.3f} m)\n"
+      "mean error of a place         {:8.2f} levels  rms over blocks of 8 sensor px; 95% of the steps between neighbours {:.2f} levels\n",
       s.coverage, s.absolute_error_m, s.shift_e_m, s.shift_n_m, s.gps_bias_m, s.gps_bias_e_m, s.gps_bias_n_m, s.distortion_median_px,
       s.patch_count, s.matched_count, s.distortion_p95_px, s.mosaic.psnr_db, s.mosaic.ssim, s.bicubic.psnr_db, s.bicubic.ssim, s.gain_db,
-      s.pixel_count, s.mosaic_gsd_m, s.sensor_gsd_m);
+      s.pixel_count, s.mosaic_gsd_m, s.sensor_gsd_m, s.evenness.level_rms, s.evenness.step_p95);
 }
 
 std::string ToJson(const Score& s, const Substitution* substitution) {
   nlohmann::ordered_json json = {{"coverage", s.coverage},
-                                       {"absolute_error_m", s.absolute_error_m},
-                                       {"shift_e_m", s.shift_e_m},
-                                       {"shift_n_m", s.shift_n_m},
-                                       {"gps_bias_m", s.gps_bias_m},
-                                       {"gps_bias_e_m", s.gps_bias_e_m},
-                                       {"gps_bias_n_m", s.gps_bias_n_m},
-                                       {"distortion_median_px", s.distortion_median_px},
-                                       {"distortion_p95_px", s.distortion_p95_px},
-                                       {"patches_textured", s.patch_count},
-                                       {"patches_matched", s.matched_count},
-                                       {"psnr_db", s.mosaic.psnr_db},
-                                       {"ssim", s.mosaic.ssim},
-                                       {"bicubic_psnr_db", s.bicubic.psnr_db},
-                                       {"bicubic_ssim", s.bicubic.ssim},
-                                       {"gain_db", s.gain_db},
-                                       {"pixels", s.pixel_count},
-                                       {"sensor_gsd_m", s.sensor_gsd_m},
-                                       {"mosaic_gsd_m", s.mosaic_gsd_m}};
+                                 {"absolute_error_m", s.absolute_error_m},
+                                 {"shift_e_m", s.shift_e_m},
+                                 {"shift_n_m", s.shift_n_m},
+                                 {"gps_bias_m", s.gps_bias_m},
+                                 {"gps_bias_e_m", s.gps_bias_e_m},
+                                 {"gps_bias_n_m", s.gps_bias_n_m},
+                                 {"distortion_median_px", s.distortion_median_px},
+                                 {"distortion_p95_px", s.distortion_p95_px},
+                                 {"patches_textured", s.patch_count},
+                                 {"patches_matched", s.matched_count},
+                                 {"psnr_db", s.mosaic.psnr_db},
+                                 {"ssim", s.mosaic.ssim},
+                                 {"bicubic_psnr_db", s.bicubic.psnr_db},
+                                 {"bicubic_ssim", s.bicubic.ssim},
+                                 {"gain_db", s.gain_db},
+                                 {"level_rms", s.evenness.level_rms},
+                                 {"seam_p95", s.evenness.step_p95},
+                                 {"pixels", s.pixel_count},
+                                 {"sensor_gsd_m", s.sensor_gsd_m},
+                                 {"mosaic_gsd_m", s.mosaic_gsd_m}};
   if (substitution != nullptr) {
     const Placement& placement = substitution->placement;
     json["truly_placed_psnr_db"] = substitution->truly_placed.psnr_db;

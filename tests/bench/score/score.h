@@ -34,6 +34,7 @@ struct Score {
   // Against the truth filtered by [1 2 1]/4 on the 3:1 grid, moved by the global shift, on the pixels where both have a value.
   Fidelity mosaic;
   Fidelity bicubic;
+  Evenness evenness;     // Of the mosaic, over blocks of 8 sensor pixels.
   double gain_db = 0.0;  // mosaic.psnr_db - bicubic.psnr_db.
   double sensor_gsd_m = 0.0;
   double mosaic_gsd_m = 0.0;

@@ -23,6 +23,7 @@ constexpr float kBorderCells = 24.0F;
 CompositeScene TrulyPlaced(const ScenePlacement& placement) {
   CompositeScene scene = placement.aligned;
   scene.world_from_scene = placement.true_world_from_scene;
+  scene.shifts = placement.true_shifts;
   return scene;
 }
 
@@ -59,7 +60,8 @@ class Substituter {
         for (int x = 12; x + 12 < raster.intensity.width(); ++x) {
           if (!(raster.information.at(x, y) > information_min) || !Inside(raster.information, x, y)) continue;
           const Roi& roi = placement.aligned.raster_in_scene;
-          const Eigen::Vector2d place = placement.true_world_from_scene * Eigen::Vector2d(roi.x0 + x, roi.y0 + y);
+          const Eigen::Vector2d place =
+              placement.true_world_from_scene * Unshifted(placement.true_shifts, Eigen::Vector2d(roi.x0 + x, roi.y0 + y));
           if (!reference_.Covers(place)) continue;
           const double error = placement.true_gain * raster.intensity.at(x, y) + placement.true_offset - reference_.At(place);
           squares += error * error;

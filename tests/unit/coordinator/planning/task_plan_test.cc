@@ -117,6 +117,32 @@ TEST(TaskPlanTest, ChangesTheKeyWithParametersAndInputsOnly) {
   EXPECT_NE(PlanTask(other_roi, v1::ENHANCE, 0).key(), key);
 }
 
+// What the windows of a recording are made of decides their keys, nothing else that the sortie says.
+TEST(TaskPlanTest, AnotherMosaicOrOneMoreRecordingLeavesTheWindowsAsTheyAre) {
+  JobInputs inputs = MakeInputs();
+  inputs.recordings = {MakeRef("recording.pb", "first")};
+  inputs.ingest.add_recording_begins(0);
+  const std::string key = PlanTask(inputs, v1::ENHANCE, 0).key();
+  JobInputs other = inputs;
+  other.sortie.mutable_mosaic()->set_gsd(0.5);
+  other.sortie.mutable_control()->set_path("/data/gcp.csv");
+  other.sortie.mutable_telemetry()->set_dem_path("/data/dem.tif");
+  other.sortie.add_more()->mutable_source()->set_path("/data/second");
+  other.manifest = MakeRef("manifest.pb", "of both");
+  other.recordings.push_back(MakeRef("recording.pb", "second"));
+  other.ingest.add_recording_begins(60);
+  other.ingest.set_frame_count(120);
+  other.windows.push_back({2, {0, 0, 100, 100}, 60, 100});
+  other.window_pbs.push_back(MakeRef("window.pb", "c"));
+  EXPECT_EQ(PlanTask(other, v1::ENHANCE, 0).key(), key);
+  const v1::TaskSpec second = PlanTask(other, v1::ENHANCE, 2);
+  EXPECT_EQ(second.inputs(0).sha256(), other.recordings[1].sha256());
+  EXPECT_EQ(second.sortie().source().path(), "/data/second") << "a worker that fetches its sources must know which";
+  EXPECT_NE(PlanTask(other, v1::ALIGN, 0).key(), PlanTask(inputs, v1::ALIGN, 0).key());
+  inputs.sortie.mutable_tre()->set_ratio(2);
+  EXPECT_NE(PlanTask(inputs, v1::ENHANCE, 0).key(), key);
+}
+
 TEST(TaskPlanTest, PlansKeyAndMemoryWithoutTheWindowsAsWithThem) {
   JobInputs inputs = MakeInputs();
   for (const std::string& digest : {std::string(), WindowsDigest(inputs.window_pbs)}) {

@@ -58,6 +58,40 @@ std::shared_ptr<const GroundSurface> Slope(double slope) {
   return std::make_shared<GriddedGround>(Eigen::Vector2d(-kReachM, -kReachM), Eigen::Vector2d(2.0 * kReachM, 2.0 * kReachM), nodes);
 }
 
+// Waves along and across the flight, about 0.
+std::shared_ptr<const GroundSurface> Hills(double amplitude_m) {
+  constexpr double kReachM = 400.0, kStepM = 4.0, kLengthM = 60.0;
+  const auto side = static_cast<int>(2.0 * kReachM / kStepM) + 1;
+  Image<float> nodes(side, side);
+  for (int y = 0; y < side; ++y) {
+    for (int x = 0; x < side; ++x) {
+      const double a = 2.0 * std::numbers::pi / kLengthM * kStepM;
+      nodes.at(x, y) = static_cast<float>(amplitude_m * std::sin(a * x + 0.7) * std::cos(a * y));
+    }
+  }
+  return std::make_shared<GriddedGround>(Eigen::Vector2d(-kReachM, -kReachM), Eigen::Vector2d(kStepM, kStepM), nodes);
+}
+
+// The affine map that fits best where a frame and the first one of its window see the same places of the hills.
+Affine ViewOverHills(const SyntheticSortie& sortie, const Homography& scene_from_first, const CameraPose& frame, const CameraPose& first,
+                     const Roi& roi) {
+  const CameraIntrinsics intrinsics{kWidth, kHeight, sortie.focal_px};
+  constexpr int kSide = 9;
+  std::vector<Eigen::Vector2d> pixels, cells;
+  for (int j = 0; j < kSide; ++j) {
+    for (int i = 0; i < kSide; ++i) {
+      const Eigen::Vector2d u(roi.x0 + (roi.width() - 1.0) * i / (kSide - 1), roi.y0 + (roi.height() - 1.0) * j / (kSide - 1));
+      const Eigen::Vector3d place = *IntersectSurface(frame, intrinsics, *sortie.input.ground, u);
+      pixels.push_back(u);
+      const Eigen::Vector3d ray = WorldFromCamera(first.yaw_rad, first.pitch_rad, first.roll_rad).transpose() * (place - first.position_m);
+      const Eigen::Vector2d seen(0.5 * (kWidth - 1) + sortie.focal_px * ray.x() / ray.z(),
+                                 0.5 * (kHeight - 1) + sortie.focal_px * ray.y() / ray.z());
+      cells.push_back(scene_from_first * seen);
+    }
+  }
+  return *FitAffine(pixels, cells);
+}
+
 // Of a plane seen by a pinhole camera: exact.
 Homography MapOf(const CameraPose& pose, const CameraIntrinsics& intrinsics, const GroundSurface& ground) {
   std::vector<Eigen::Vector2d> u, x;
@@ -93,7 +127,11 @@ Segment MakeSegment(const SyntheticOptions& options, const SyntheticSortie& sort
     for (const Eigen::Vector2d& u : own) displaced.push_back(u + options.view_sigma_px * Eigen::Vector2d(rng.Normal(), rng.Normal()));
     ChainView view;
     view.frame = static_cast<std::uint32_t>(t);
-    if (options.projective_views) {
+    if (!sortie.poses.empty()) {
+      const Homography scene_from_first = world_from_scene.Inverse() * sortie.world_from_sensor[static_cast<std::size_t>(begin)];
+      const CameraPose& first = sortie.poses[static_cast<std::size_t>(begin)];
+      view.scene_from_sensor = ViewOverHills(sortie, scene_from_first, sortie.poses[frame], first, roi) * *FitAffine(displaced, own);
+    } else if (options.projective_views) {
       view.scene_from_sensor = PlanarMap::FromHomography(scene_from_sensor * *FitHomography(displaced, own));
     } else {
       view.scene_from_sensor = *FitAffine(points, x) * *FitAffine(displaced, own);
@@ -139,6 +177,12 @@ Eigen::Vector2d SyntheticSortie::Undistorted(const Eigen::Vector2d& u, double k1
   return pinhole;
 }
 
+Eigen::Vector2d SyntheticSortie::PlaceOfCell(std::size_t segment, const Eigen::Vector2d& c) const {
+  const auto first = static_cast<std::size_t>(first_frame[segment]);
+  const Eigen::Vector2d u = world_from_sensor[first].Inverse() * (world_from_scene[segment] * c);
+  return IntersectSurface(poses[first], {kWidth, kHeight, focal_px}, *input.ground, u)->head<2>();
+}
+
 std::vector<ControlObservation> ObserveControl(const SyntheticOptions& options, const SyntheticSortie& sortie, const std::string& name,
                                                const Eigen::Vector2d& place, double sigma_px) {
   std::vector<ControlObservation> observations;
@@ -154,6 +198,21 @@ std::vector<ControlObservation> ObserveControl(const SyntheticOptions& options, 
   return observations;
 }
 
+std::vector<ControlObservation> FourPoints(const SyntheticOptions& options, const SyntheticSortie& sortie) {
+  std::vector<ControlObservation> control;
+  const Eigen::Vector2d first = sortie.world_from_sensor.front() * Eigen::Vector2d(128.0, 100.0);
+  const Eigen::Vector2d last = sortie.world_from_sensor.back() * Eigen::Vector2d(128.0, 100.0);
+  int number = 0;
+  for (const Eigen::Vector2d& centre : {first, last}) {
+    for (const double side : {-1.0, 1.0}) {
+      const Eigen::Vector2d place = centre + side * 60.0 * sortie.gsd_m * Eigen::Vector2d(0.3, 1.0);
+      const auto seen = ObserveControl(options, sortie, "P" + std::to_string(++number), place, 0.2);
+      control.insert(control.end(), seen.begin(), seen.end());
+    }
+  }
+  return control;
+}
+
 SyntheticSortie MakeSortie(const SyntheticOptions& options) {
   SyntheticSortie sortie;
   AlignInput& input = sortie.input;
@@ -166,6 +225,7 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
   sortie.gsd_m = kAltitudeM / intrinsics.focal_px;
   sortie.focal_px = intrinsics.focal_px;
   if (options.slope != 0.0) input.ground = Slope(options.slope);
+  if (options.hills_m != 0.0) input.ground = Hills(options.hills_m);
 
   std::vector<CameraPose> poses;
   Rng rng({options.seed, 1});
@@ -176,6 +236,7 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
     sortie.frame_gain.push_back(std::exp(options.gain_sigma * rng.Normal()));
     sortie.frame_offset.push_back(options.offset_sigma * rng.Normal());
   }
+  if (options.hills_m != 0.0) sortie.poses = poses;
   if (options.telemetry) AddAnchors(options, poses, intrinsics.focal_px, sortie);
 
   const std::vector<Roi> rois = {{0, 0, 141, 111}, {115, 0, 256, 111}, {0, 89, 141, 200}, {115, 89, 256, 200}};
@@ -195,6 +256,7 @@ SyntheticSortie MakeSortie(const SyntheticOptions& options) {
         segment.window_id = window_id++;
         input.segments.push_back(std::move(segment));
         sortie.world_from_scene.push_back(world_from_scene);
+        sortie.first_frame.push_back(begin);
         sortie.scene_gain.push_back(sortie.frame_gain[first]);
         sortie.scene_offset.push_back(sortie.frame_offset[first]);
       }

@@ -19,6 +19,7 @@ struct SyntheticOptions {
   double view_sigma_px = 0.02;  // Noise of each chain view's corners.
   double hfov_deg = 8.0;
   double slope = 0.0;        // Of the ground, which rises to the north-east.
+  double hills_m = 0.0;      // Amplitude of waves of the ground, 60 m long, along and across the flight.
   double k1 = 0.0;           // Radial distortion of the lens; affine views only.
   double focal_error = 0.0;  // Telemetry's focal length = (1 + this) * true one.
   bool projective_views = false;  // Chain views are the homographies; else the affine maps that fit best over the ROI.
@@ -42,15 +43,23 @@ struct SyntheticSortie {
   std::vector<double> scene_gain, scene_offset;
   double gsd_m = 0.0;
   double focal_px = 0.0;
+  // Over hills, where scenes show what the first frame of their window sees: the true cameras, and that frame of each segment.
+  std::vector<CameraPose> poses;
+  std::vector<int> first_frame;
 
   // Where the true lens shows what a pinhole would show at `u`, and back.
   Eigen::Vector2d Distorted(const Eigen::Vector2d& u, double k1) const;
   Eigen::Vector2d Undistorted(const Eigen::Vector2d& u, double k1) const;
+  // Hills: the place on the ground that cell `c` of a segment's scenes shows.
+  Eigen::Vector2d PlaceOfCell(std::size_t segment, const Eigen::Vector2d& c) const;
 };
 
 // Observations of a point of the true ground, in the frames among `frames` that see it, `sigma_px` off along each axis.
 std::vector<ControlObservation> ObserveControl(const SyntheticOptions& options, const SyntheticSortie& sortie, const std::string& name,
                                                const Eigen::Vector2d& place, double sigma_px);
+
+// Four points in the corners of what the flight sees, 0.2 px off.
+std::vector<ControlObservation> FourPoints(const SyntheticOptions& options, const SyntheticSortie& sortie);
 
 SyntheticSortie MakeSortie(const SyntheticOptions& options);
 

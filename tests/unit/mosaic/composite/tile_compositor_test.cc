@@ -139,6 +139,31 @@ TEST(TileCompositor, TilesEqualTheWholeImageBitForBit) {
   }
 }
 
+// Shifts reach beyond what the homography alone says of a scene's footprint: any tiling must still find, read and place the same cells.
+TEST(TileCompositor, TilesEqualTheWholeImageOverHills) {
+  World world = MakeWorld(24, 2, true);
+  for (std::size_t i = 0; i < world.scenes.size(); ++i) {
+    CompositeScene& scene = world.scenes[i];
+    scene.shifts = CellShifts::Over({-7.0, 3.0}, {112.0, 102.0}, 24.0, Eigen::Vector2d::Zero());
+    for (std::size_t k = 0; k < scene.shifts.values.size(); ++k) {
+      const double phase = static_cast<double>(3 * i + k);
+      scene.shifts.values[k] = {9.0 * std::sin(phase), 7.0 * std::cos(0.7 * phase)};
+    }
+  }
+  const CompositeTile whole = Compose(world, {0, 0, 200, 150}, Options());
+  const Result<std::vector<std::vector<std::size_t>>> by_tile = ScenesByTile(world.grid, world.scenes);
+  ASSERT_TRUE(by_tile.ok());
+  for (int t = 0; t < world.grid.tile_count(); ++t) {
+    const Roi roi = world.grid.TileRoi(t);
+    EXPECT_EQ((*by_tile)[static_cast<std::size_t>(t)].size(), ContributingScenes(world.grid, roi, world.scenes)->size());
+    const CompositeTile tile = Compose(world, roi, Options());
+    for (int y = 0; y < roi.height(); ++y) {
+      for (int x = 0; x < roi.width(); ++x)
+        ASSERT_TRUE(SameBits(tile.median.at(x, y), whole.median.at(x + roi.x0, y + roi.y0))) << t << " " << x << " " << y;
+    }
+  }
+}
+
 TEST(TileCompositor, NeitherTheOrderOfScenesNorTheMemoryBudgetChangesAnything) {
   World world = MakeWorld(16, 3, true);
   const CompositeTile expected = Compose(world, {0, 0, 200, 150}, Options());

@@ -60,6 +60,48 @@ TEST(Warp, ReproducesASmoothSceneUnderAHomography) {
   EXPECT_LT(std::sqrt(square / valid), 0.5);
 }
 
+// Relief: each place is read where the shifts have it, and vignetting is undone there.
+TEST(Warp, ReadsShiftedCellsAndUndoesShade) {
+  const Roi raster{0, 0, 200, 180};
+  CellShifts shifts = CellShifts::Over({0.0, 0.0}, {199.0, 179.0}, 20.0, Eigen::Vector2d::Zero());
+  CellGrid<double> shade = CellGrid<double>::Over({0.0, 0.0}, {199.0, 179.0}, 50.0, 1.0);
+  for (int row = 0; row < shifts.rows; ++row) {
+    for (int column = 0; column < shifts.columns; ++column) {
+      const double x = column, y = row;
+      shifts.values[static_cast<std::size_t>(row * shifts.columns + column)] = {2.0 * std::sin(x), 1.5 * std::cos(y + x)};
+    }
+  }
+  for (std::size_t i = 0; i < shade.values.size(); ++i) shade.values[i] = 1.0 + 0.02 * static_cast<double>(i);
+  const WarpSource source = *PrepareWarp(MakeScene(raster, Wave), raster);
+  const WarpedScene warped = WarpScene(source, {Homography{}, shifts, shade}, {0, 0, 200, 180});
+  double square = 0.0;
+  int valid = 0;
+  for (int y = 0; y < 180; ++y) {
+    for (int x = 0; x < 200; ++x) {
+      const float found = warped.intensity.at(x, y);
+      if (std::isnan(found)) continue;
+      const Eigen::Vector2d shown = Shifted(shifts, Eigen::Vector2d(x, y));
+      const double error = found - shade.At(shown) * Wave(shown.x(), shown.y());
+      square += error * error;
+      ++valid;
+    }
+  }
+  EXPECT_GT(valid, 32000);
+  EXPECT_LT(std::sqrt(square / valid), 0.6);
+}
+
+TEST(CellGrid, UnshiftedIsTheInverseOfShifted) {
+  CellShifts shifts = CellShifts::Over({-30.0, 5.0}, {90.0, 77.0}, 24.0, Eigen::Vector2d::Zero());
+  for (std::size_t i = 0; i < shifts.values.size(); ++i)
+    shifts.values[i] = {5.0 * std::sin(1.7 * static_cast<double>(i)), 4.0 * std::cos(static_cast<double>(i))};
+  for (double x = -60.0; x < 120.0; x += 7.3) {
+    const Eigen::Vector2d c(x, 0.6 * x + 10.0);
+    EXPECT_LT((Shifted(shifts, Unshifted(shifts, c)) - c).norm(), 1e-5);
+  }
+  EXPECT_EQ(shifts.Node(0, 0), Eigen::Vector2d(-30.0, 5.0));
+  EXPECT_GE(shifts.Node(shifts.columns - 1, 0).x(), 90.0);
+}
+
 TEST(Warp, IsExactOnCellCentresAndNeedsNoOtherCells) {
   const Roi raster{0, 0, 30, 20};
   SceneRaster scene = MakeScene(raster, Wave);

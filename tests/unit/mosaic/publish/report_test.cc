@@ -50,7 +50,9 @@ TEST(Report, JudgesByTheBoundsThatItStates) {
   EXPECT_EQ(Of(data, "How well frames and scenes agree"), Verdict::kLook);
   data.tie_rms_px = 1.1;
   EXPECT_EQ(Of(data, "How well frames and scenes agree"), Verdict::kBad);
-  data.median_scenes = 1.0;
+  data.median_scenes = 1.0;  // One window over a camera that dwells: each pixel of many frames, but of one scene.
+  EXPECT_EQ(Of(data, "Scenes over a pixel"), Verdict::kLook);
+  data.median_scenes = 0.0;
   EXPECT_EQ(Of(data, "Scenes over a pixel"), Verdict::kBad);
   data.median_nmad = 11.0;
   EXPECT_EQ(Of(data, "Spread between scenes"), Verdict::kBad);

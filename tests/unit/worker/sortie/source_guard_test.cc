@@ -55,6 +55,18 @@ TEST_F(SourceGuardTest, RefusesWhatLiesOutside) {
   }
 }
 
+TEST_F(SourceGuardTest, ChecksEveryRecordingAsASourceOfItsOwn) {
+  v1::Sortie sortie;
+  sortie.mutable_source()->set_path((folder_ / "open/leg").string());
+  v1::Source* more = sortie.add_more()->mutable_source();
+  more->set_path((folder_ / "open/leg").string());
+  EXPECT_TRUE(guard_.Check(sortie).ok()) << guard_.Check(sortie).message();
+  for (const char* path : {"secret", "secret/*.png", "*/1.png"}) {
+    more->set_path((folder_ / path).string());
+    EXPECT_EQ(guard_.Check(sortie).code(), StatusCode::kInvalidInput) << path;
+  }
+}
+
 TEST_F(SourceGuardTest, FollowsLinksBeforeItJudges) {
   fs::create_symlink(folder_ / "secret", folder_ / "open/folder");
   fs::create_symlink(folder_ / "secret/1.png", folder_ / "open/file.ts");

@@ -1,0 +1,17 @@
+#pragma once
+
+#include "mosaic/align/align_state.h"
+
+namespace trem::align {
+
+// Over ground that is no plane a scene is no homography of the map. What remains of each scene's places without it is found from the ground
+// and the cameras, and kept in SceneState::shifts: at nodes over the scene
+//
+//   shift(c) = mean over its frames t of  v_t(camera_t(x, z(x))) - v_t(camera_t(x, plane(x))),   x = world_from_scene * c
+//
+// with v_t the chain's view, z the ground's elevation and `plane` the plane that fits it best under the scene. So the homography stands for
+// that plane, and errors of the cameras' places, which shift both terms alike, stay out. Frames whose ROI does not reach the node count
+// little. Scenes that no camera sees, and all of them over level ground, have none.
+void UpdateShifts(const AlignGraph& graph, AlignState& state);
+
+}  // namespace trem::align
