@@ -329,7 +329,7 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   std::vector<ContentTie> content;
   // What relief shifts depends on where the cameras are, little enough for every solve to start from what the one before found.
   const auto solve = [&](bool with_sigma) {
-    UpdateShifts(graph, state);
+    UpdateShifts(graph, Shifts::kRelief, state);
     return Solve(graph, content, options, with_sigma, tick, state);
   };
   const bool hilly = graph.input.ground && graph.input.ground->spacing() > 0.0;
@@ -348,6 +348,7 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
     }
   }
   TREM_ASSIGN_OR_RETURN(const SolveReport report, solve(true));
+  UpdateShifts(graph, Shifts::kPlaces, state);
   const std::vector<LevelTie> level_ties = FindLevelTies(graph, state, levels);
   TREM_ASSIGN_OR_RETURN(const PhotometricBalance balance, Balance(graph, level_ties));
 

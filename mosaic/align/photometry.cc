@@ -44,10 +44,13 @@ struct LevelResidual {
   template <typename T>
   bool operator()(const T* a, const T* b, const T* vignetting, T* residuals) const {
     using std::exp;
-    const auto balanced = [&](double level, const FieldPowers& field, const T* scene) -> T {
-      return (level / (1.0 + vignetting[0] * field.second + vignetting[1] * field.fourth) - scene[1]) * exp(-scene[0]);
-    };
-    residuals[0] = (balanced(pair.level_a, pair.field_a, a) - balanced(pair.level_b, pair.field_b, b)) / sigma;
+    using std::sqrt;
+    const auto lens = [&](const FieldPowers& field) -> T { return 1.0 + vignetting[0] * field.second + vignetting[1] * field.fourth; };
+    const T lens_a = lens(pair.field_a), lens_b = lens(pair.field_b);
+    if (!(lens_a > 0.05) || !(lens_b > 0.05)) return false;
+    const T difference = (pair.level_a / lens_a - a[1]) * exp(-a[0]) - (pair.level_b / lens_b - b[1]) * exp(-b[0]);
+    // In levels of the scenes: balanced ones would differ less the darker everything is made.
+    residuals[0] = difference * exp(0.5 * (a[0] + b[0])) * sqrt(lens_a * lens_b) / sigma;
     return true;
   }
 };

@@ -52,19 +52,20 @@ struct Seen {
   double weight = 0.0;
 };
 
-CellShifts ShiftsOf(const AlignGraph& graph, const AlignState& state, const SceneNode& node, const SceneState& scene) {
+CellShifts ShiftsOf(const AlignGraph& graph, const AlignState& state, const SceneNode& node, Shifts kind, const SceneState& scene) {
   const AlignInput& input = graph.input;
   const Roi& roi = node.scene.roi_in_scene;
   const double margin = kMargin * std::max(roi.width(), roi.height());
   const Eigen::Vector2d low(roi.x0 - margin, roi.y0 - margin), high(roi.x1 - 1.0 + margin, roi.y1 - 1.0 + margin);
   const double spacing = std::max(kNodePx * input.ratio, (high - low).maxCoeff() / kNodesMax);
   CellShifts shifts = CellShifts::Over(low, high, spacing, Eigen::Vector2d::Zero());
-  std::vector<Eigen::Vector2d> places, known;
+  std::vector<Eigen::Vector2d> places, cells, known;
   std::vector<std::optional<double>> elevations_m;
   std::vector<double> known_m;
   for (int row = 0; row < shifts.rows; ++row) {
     for (int column = 0; column < shifts.columns; ++column) {
       const Eigen::Vector2d c = shifts.Node(column, row);
+      cells.push_back(c);
       places.push_back(scene.world_from_scene * c);
       const std::optional<double> z = input.ground->ElevationAt(places.back());
       elevations_m.push_back(z);
@@ -92,7 +93,8 @@ CellShifts ShiftsOf(const AlignGraph& graph, const AlignState& state, const Scen
       const auto level = PixelOf(*frame.camera, state.lens, input, {places[i].x(), places[i].y(), (*plane)(places[i])});
       if (!surface || !level) continue;
       const double weight = WeightOf(sensor, *surface);
-      seen[i].shift_sum += weight * (view * *surface - view * *level);
+      const Eigen::Vector2d without = kind == Shifts::kRelief ? view * *level : cells[i];
+      seen[i].shift_sum += weight * (view * *surface - without);
       seen[i].weight += weight;
     }
   }
@@ -105,11 +107,11 @@ CellShifts ShiftsOf(const AlignGraph& graph, const AlignState& state, const Scen
 
 }  // namespace
 
-void UpdateShifts(const AlignGraph& graph, AlignState& state) {
+void UpdateShifts(const AlignGraph& graph, Shifts kind, AlignState& state) {
   if (!graph.input.ground || graph.input.ground->spacing() == 0.0) return;
   for (std::size_t s = 0; s < graph.scenes.size(); ++s) {
     SceneState& scene = state.scenes[s];
-    if (scene.piece >= 0) scene.shifts = ShiftsOf(graph, state, graph.scenes[s], scene);
+    if (scene.piece >= 0) scene.shifts = ShiftsOf(graph, state, graph.scenes[s], kind, scene);
   }
 }
 

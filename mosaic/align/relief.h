@@ -12,6 +12,13 @@ namespace trem::align {
 // with v_t the chain's view, z the ground's elevation and `plane` the plane that fits it best under the scene. So the homography stands for
 // that plane, and errors of the cameras' places, which shift both terms alike, stay out. Frames whose ROI does not reach the node count
 // little. Scenes that no camera sees, and all of them over level ground, have none.
-void UpdateShifts(const AlignGraph& graph, AlignState& state);
+//
+// kPlaces, after the last solve, is where the frames show the places, all told:
+//
+//   shift(c) = mean over t of  v_t(camera_t(x, z(x))) - c
+//
+// which has, besides, what affine views leave of the perspective of a slope.
+enum class Shifts { kRelief, kPlaces };
+void UpdateShifts(const AlignGraph& graph, Shifts kind, AlignState& state);
 
 }  // namespace trem::align

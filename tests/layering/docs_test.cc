@@ -28,7 +28,8 @@ std::string ReadDocument(const std::string& name) {
 void AppendFieldPaths(const google::protobuf::Descriptor& message, const std::string& prefix, std::vector<std::string>* paths) {
   for (int i = 0; i < message.field_count(); ++i) {
     const google::protobuf::FieldDescriptor& field = *message.field(i);
-    if (field.message_type() != nullptr) {
+    // A list of messages is one field to the reader: its parts are those of fields that the table has.
+    if (field.message_type() != nullptr && !field.is_repeated()) {
       AppendFieldPaths(*field.message_type(), prefix + field.name() + ".", paths);
     } else {
       paths->push_back(prefix + field.name());

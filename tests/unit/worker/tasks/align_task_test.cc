@@ -13,6 +13,7 @@
 #include "mosaic/raster/scene_raster.h"
 #include "proto/codec/convert.h"
 #include "tests/unit/mosaic/align/synthetic.h"
+#include "worker/tasks/align_input.h"
 #include "worker/tasks/task.h"
 
 namespace trem {
@@ -251,6 +252,49 @@ TEST_F(AlignTask, NamesTheWindowWhoseChainIsBroken) {
   ASSERT_FALSE(result.ok());
   EXPECT_EQ(result.status().code(), StatusCode::kCorrupt);
   EXPECT_THAT(result.status().message(), HasSubstr("window 2: corner_covariance_px2 has 20 numbers"));
+}
+
+// What the spec lets the alignment find of the camera, what the manifest knows of the ground, and whose telemetry a frame has.
+TEST_F(AlignTask, TakesGroundCameraOptionsAndRecordingsUp) {
+  align::SyntheticOptions options;
+  options.frame_count = 10;
+  const align::SyntheticSortie sortie = MakeSortie(options);
+  FillManifest(sortie);
+  v1::Telemetry* telemetry = spec_.mutable_sortie()->mutable_telemetry();
+  telemetry->set_focal_sigma_percent(2.0);
+  telemetry->set_estimate_distortion(true);
+  telemetry->set_boresight(v1::CORRECTION_ON);
+  const v1::Pose& pose = manifest_.frames(0).pose();
+  v1::GroundGrid* ground = manifest_.mutable_ground();
+  ground->set_west_deg(pose.longitude_deg() - 0.05);
+  ground->set_north_deg(pose.latitude_deg() + 0.05);
+  constexpr int kNodes = 21;
+  ground->set_longitude_step_deg(0.1 / (kNodes - 1));
+  ground->set_latitude_step_deg(-0.1 / (kNodes - 1));
+  ground->set_width(kNodes);
+  ground->set_height(kNodes);
+  for (int row = 0; row < kNodes; ++row) {
+    for (int column = 0; column < kNodes; ++column) ground->add_elevation_m(100.0F + 0.5F * static_cast<float>(column));
+  }
+  for (const std::uint32_t begin : {0U, 6U}) {
+    v1::RecordingManifest* recording = manifest_.add_recordings();
+    recording->set_frame_begin(begin);
+    recording->set_frame_end(begin == 0 ? 6 : 10);
+    recording->set_position_sigma_m(begin == 0 ? 1.0 : 3.0);
+    recording->set_attitude_sigma_deg(0.4);
+  }
+  for (int t = 6; t < 10; ++t) manifest_.mutable_frames(t)->mutable_pose()->set_attitude_sigma_deg(0.3);
+  const Result<AlignTaskInput> input = MakeAlignInput(spec_.sortie(), manifest_, WindowsOf(sortie));
+  ASSERT_TRUE(input.ok()) << input.status().message();
+  EXPECT_NEAR(input->align.focal_sigma, 0.02, 1e-12);
+  EXPECT_TRUE(input->align.estimate_distortion);
+  EXPECT_EQ(input->align.boresight, align::Boresight::kEstimated);
+  ASSERT_NE(input->align.ground, nullptr);
+  EXPECT_NEAR(*input->align.ground->ElevationAt(input->align.anchors[0].pose->position_m.head<2>()), 105.0, 0.2);
+  EXPECT_EQ(input->align.anchors[5].recording, 0U);
+  EXPECT_EQ(input->align.anchors[6].recording, 1U);
+  EXPECT_NEAR(input->align.SigmasOf(1).position_m, 3.0, 1e-12);
+  EXPECT_NEAR(input->align.SigmasOf(1).attitude_rad * kDeg, 0.5, 1e-9) << "what poses wander is part of what their average may be off by";
 }
 
 TEST_F(AlignTask, DoesNotUseCamerasBelowTheGroundAndSaysWhatToSet) {
