@@ -199,10 +199,11 @@ void Equations::AddScenes() {
     world_from_unit_[s] /= world_from_unit_[s](2, 2);
     double* const parameters = scene_parameters_[s].data();
     problem_->AddParameterBlock(parameters, kMapParameters);
-    // One half size of freedom: negligible beside any tie; keeps a scene that a single weak view holds from being singular.
-    problem_->AddResidualBlock(
-        new ceres::NormalPrior(Eigen::MatrixXd::Identity(kMapParameters, kMapParameters), Eigen::VectorXd::Zero(kMapParameters)), nullptr,
-        parameters);
+    // One half size of freedom: negligible beside any tie; keeps a scene that a single weak view holds from being singular. A thousand of them
+    // for the place, which all scenes share with telemetry's error: priors of thousands of scenes add up there, and the stated standard error sank.
+    Eigen::MatrixXd freedom = Eigen::MatrixXd::Identity(kMapParameters, kMapParameters);
+    freedom(2, 2) = freedom(5, 5) = 1e-3;
+    problem_->AddResidualBlock(new ceres::NormalPrior(freedom, Eigen::VectorXd::Zero(kMapParameters)), nullptr, parameters);
   }
 }
 
