@@ -1,16 +1,25 @@
 #include "tests/unit/coordinator/scheduling/fake_tasks.h"
 
 #include <algorithm>
+#include <string_view>
 
 #include "mosaic/base/check.h"
 #include "mosaic/base/digest.h"
 
 namespace trem::testing {
 
+namespace {
+
+constexpr std::string_view kSourceFolder = "/data/";
+
+}  // namespace
+
+std::string FakeSortieNameOf(const v1::TaskSpec& task) { return task.sortie().source().path().substr(kSourceFolder.size()); }
+
 v1::Sortie FakeSortie(const std::string& name) {
   v1::Sortie sortie;
   sortie.set_name(name);
-  sortie.mutable_source()->set_path("/data/" + name);
+  sortie.mutable_source()->set_path(std::string(kSourceFolder) + name);
   sortie.mutable_tre()->set_ratio(3);
   sortie.mutable_windows()->set_roi_px(60);
   sortie.mutable_windows()->set_roi_overlap_px(10);

@@ -14,6 +14,8 @@ inline constexpr std::uint32_t kFakeTaskCount = 1 + kFakeWindowCount + 1 + kFake
 
 // A complete sortie whose name tells it from others; the same name is the same sortie.
 v1::Sortie FakeSortie(const std::string& name);
+// The name of the fake sortie that a task is of, by its source: ENHANCE tasks do not carry the name, so that sorties may share them.
+std::string FakeSortieNameOf(const v1::TaskSpec& task);
 
 // What a worker would make of a task: outputs are digests of the task's key, so the same key gives the same result. INGEST sees content
 // `source_content` in the source: equal contents have equal manifests.

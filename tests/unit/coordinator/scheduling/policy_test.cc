@@ -20,7 +20,7 @@ DispatchEffect OnlyDispatch(const std::vector<Effect>& effects) {
   return dispatches[0];
 }
 
-std::string UserOf(const DispatchEffect& dispatch) { return dispatch.task.sortie().name(); }
+std::string UserOf(const DispatchEffect& dispatch) { return FakeSortieNameOf(dispatch.task); }
 
 // Reads the source of a job with a worker that leaves again: its ENHANCE tasks are ready then.
 void Unfold(Bench* bench, const std::string& job_id, const std::string& sortie_name, const std::string& user = "", int priority = 0) {

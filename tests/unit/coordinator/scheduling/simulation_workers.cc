@@ -79,7 +79,7 @@ void Simulation::OnCancel(SimWorker& worker, const CancelTaskEffect& cancel) {
 }
 
 bool Simulation::IsPoisoned(const v1::TaskSpec& task) const {
-  return task.kind() == v1::ENHANCE && task.enhance().window_id() == kPoisonedWindow && task.sortie().name() == poisoned_sortie_ &&
+  return task.kind() == v1::ENHANCE && task.enhance().window_id() == kPoisonedWindow && FakeSortieNameOf(task) == poisoned_sortie_ &&
          !is_healed_;
 }
 

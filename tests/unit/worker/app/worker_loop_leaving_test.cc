@@ -101,6 +101,11 @@ TEST(WorkerLoopLeaving, LeavesByItselfOnceDrained) {
   v1::Envelope drain;
   drain.mutable_drain()->set_reason("maintenance");
   harness.Send(drain);
+  // What it hands back shows that it has read the request, which a socket that closes might drop.
+  harness.Dispatch(kKeyB, 1);
+  const v1::Done refused = harness.AwaitDone();
+  EXPECT_ATTEMPT(refused.attempt(), kKeyB, 1);
+  EXPECT_EQ(refused.status_code(), static_cast<unsigned>(StatusCode::kCancelled));
   harness.StopCoordinator();
   harness.StartCoordinator();
   EXPECT_EQ(harness.Await(v1::Envelope::kHello).hello().credit(), 0u) << "a restarted coordinator gives it nothing";
