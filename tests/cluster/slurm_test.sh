@@ -129,7 +129,8 @@ cmp "$work/alone.tif" "$work/cluster.tif"
 say "the mosaic is byte-identical to that of trem run"
 
 # ---- The queue is empty: the scaler goes down ---------------------------------------------------------------------------------------
-start "$victim.again" slurmd -D -f "$SLURM_CONF" -N "$victim"
+# As after a reboot (-b): a daemon that is back at once would not have Slurm look for the jobs that died with the node.
+start "$victim.again" slurmd -b -D -f "$SLURM_CONF" -N "$victim"
 one_left() { [ "$(squeue --noheader --array --name trem-worker --states R,PD,CF --format %i | wc -l)" -eq 1 ] && workers_are -eq 1; }
 wait_for 150 "one worker left" one_left
 say "with an empty queue the scaler went down to $(workers) worker:"
