@@ -59,7 +59,7 @@ step() {
   elif [ "$wanted" -lt "$have" ] && [ "$waiting" -eq 0 ]; then
     surplus=$(((have - wanted + 3) / 4))
     mapfile -t leaving < <({ printf '%s\n' "$pending"; idle_elements; } | grep . | head -n "$surplus")
-    [ ${#leaving[@]} -eq 0 ] || { echo "scaler: cancels ${leaving[*]}"; scancel "${leaving[@]}" || true; }
+    [ ${#leaving[@]} -eq 0 ] || { echo "scaler: cancels ${leaving[*]}"; scancel "${leaving[@]}" || echo "scaler: scancel refused" >&2; }
   fi
 }
 

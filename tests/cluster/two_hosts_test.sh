@@ -68,6 +68,6 @@ say "byte-identical; the far host holds $(find "$work/far" -type f -path '*/obje
 
 # Told to stop, the workers leave nothing behind.
 for pid in "${pids[@]:1}"; do kill -TERM "$pid"; done
-for pid in "${pids[@]:1}"; do wait "$pid" || true; done
+for pid in "${pids[@]:1}"; do wait "$pid" || { say "a worker that was told to stop left with exit code $?"; exit 1; }; done
 [ -z "$(find "$work/far" -name 'trem-worker-*')" ]
 say passed
