@@ -19,6 +19,22 @@ namespace {
 namespace fs = std::filesystem;
 using std::chrono::milliseconds;
 
+// A task that goes on until it is told to finish, or cancelled.
+ComputeThread::Task Until(const std::atomic<bool>& finish) {
+  return [&finish](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
+    while (!finish && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
+    return ResultOf(spec);
+  };
+}
+
+// The worker takes nothing more: what it is given it hands back.
+void ExpectRefusal(Harness& harness) {
+  harness.Dispatch(kKeyB, 1);
+  const v1::Done refused = harness.AwaitDone();
+  EXPECT_ATTEMPT(refused.attempt(), kKeyB, 1);
+  EXPECT_EQ(refused.status_code(), static_cast<unsigned>(StatusCode::kCancelled)) << "it takes nothing more";
+}
+
 TEST(WorkerLoopLeaving, CancelsAndSaysGoodbyeWhenStopped) {
   Harness harness;
   std::atomic<bool> was_cancelled{false};
@@ -54,18 +70,12 @@ TEST(WorkerLoopLeaving, LetsTheRunningTaskFinishWithinTheGraceWhenStopped) {
   harness.options().drain_grace = std::chrono::minutes(10);
   harness.options().drain_ack_wait = std::chrono::seconds(10);
   std::atomic<bool> finish{false};
-  harness.StartWorker([&](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
-    while (!finish && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
-    return ResultOf(spec);
-  });
+  harness.StartWorker(Until(finish));
   harness.Welcome();
   harness.Dispatch(kKeyA, 1);
   harness.Await(v1::Envelope::kProgress);
   harness.RequestStop();
-  harness.Dispatch(kKeyB, 1);
-  const v1::Done refused = harness.AwaitDone();
-  EXPECT_ATTEMPT(refused.attempt(), kKeyB, 1);
-  EXPECT_EQ(refused.status_code(), static_cast<unsigned>(StatusCode::kCancelled)) << "it takes nothing more";
+  ExpectRefusal(harness);
   harness.Await(v1::Envelope::kProgress);
   finish = true;
   const v1::Done done = harness.AwaitDone();
@@ -91,10 +101,7 @@ TEST(WorkerLoopLeaving, HandsTheTaskBackWhenTheGraceIsOver) {
 TEST(WorkerLoopLeaving, LeavesByItselfOnceDrained) {
   Harness harness;
   std::atomic<bool> finish{false};
-  harness.StartWorker([&](const v1::TaskSpec& spec, const auto& progress) -> Result<v1::TaskResult> {
-    while (!finish && progress(0.5)) std::this_thread::sleep_for(milliseconds(1));
-    return ResultOf(spec);
-  });
+  harness.StartWorker(Until(finish));
   harness.Welcome();
   harness.Dispatch(kKeyA, 1);
   harness.Await(v1::Envelope::kProgress);
@@ -102,10 +109,7 @@ TEST(WorkerLoopLeaving, LeavesByItselfOnceDrained) {
   drain.mutable_drain()->set_reason("maintenance");
   harness.Send(drain);
   // What it hands back shows that it has read the request, which a socket that closes might drop.
-  harness.Dispatch(kKeyB, 1);
-  const v1::Done refused = harness.AwaitDone();
-  EXPECT_ATTEMPT(refused.attempt(), kKeyB, 1);
-  EXPECT_EQ(refused.status_code(), static_cast<unsigned>(StatusCode::kCancelled));
+  ExpectRefusal(harness);
   harness.StopCoordinator();
   harness.StartCoordinator();
   EXPECT_EQ(harness.Await(v1::Envelope::kHello).hello().credit(), 0u) << "a restarted coordinator gives it nothing";
