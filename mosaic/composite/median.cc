@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <limits>
 #include <vector>
 
 #include "mosaic/base/check.h"
@@ -9,62 +11,70 @@
 namespace trem {
 namespace {
 
-bool InTotalOrder(const WeightedSample& a, const WeightedSample& b) {
-  if (a.value != b.value) return a.value < b.value;
-  return a.weight < b.weight;
+// A sample with the weight of those that come before it in the order (value, source).
+struct RankedSample {
+  float value;
+  float weight;
+  float below;
+};
+
+// `samples` sorted by source. Sums run by source too: that is an order which vectors of any length can keep without sorting.
+std::vector<RankedSample> Rank(std::span<const WeightedSample> samples) {
+  std::vector<RankedSample> ranked;
+  ranked.reserve(samples.size());
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    float below = 0.0f;
+    for (std::size_t j = 0; j < samples.size(); ++j) {
+      const bool before = j < i ? samples[j].value <= samples[i].value : samples[j].value < samples[i].value;
+      if (before) below += samples[j].weight;
+    }
+    ranked.push_back({samples[i].value, samples[i].weight, below});
+  }
+  return ranked;
 }
 
-float TotalWeight(std::span<const WeightedSample> sorted) {
+float TotalWeight(std::span<const RankedSample> samples) {
   float total = 0.0f;
-  for (const WeightedSample& sample : sorted) total += sample.weight;
+  for (const RankedSample& sample : samples) total += sample.weight;
   return total;
 }
 
-// The strict weighted median of sorted samples: the mean of the lower and the upper one.
-float StrictMedian(std::span<const WeightedSample> sorted) {
-  const float half = 0.5f * TotalWeight(sorted);
-  float below = 0.0f, lower = 0.0f, upper = 0.0f;
-  bool has_lower = false, has_upper = false;
-  for (const WeightedSample& sample : sorted) {
-    below += sample.weight;
-    if (!has_lower && below >= half) lower = sample.value;
-    if (!has_upper && below > half) upper = sample.value;
-    has_lower = has_lower || below >= half;
-    has_upper = has_upper || below > half;
+// The strict weighted median: the mean of the lower and the upper one.
+float StrictMedian(std::span<const RankedSample> samples) {
+  const float half = 0.5f * TotalWeight(samples);
+  float lower = std::numeric_limits<float>::max(), upper = lower;
+  for (const RankedSample& sample : samples) {
+    const float above = sample.below + sample.weight;
+    if (above >= half) lower = std::min(lower, sample.value);
+    if (above > half) upper = std::min(upper, sample.value);
   }
   return 0.5f * (lower + upper);
 }
 
-float BlendedMedian(std::span<const WeightedSample> sorted, float blend) {
-  const float total = TotalWeight(sorted);
+float BlendedMedian(std::span<const RankedSample> samples, float blend) {
+  const float total = TotalWeight(samples);
   const float low = (0.5f - blend) * total;
   const float high = (0.5f + blend) * total;
-  // Summed as differences to the first value that takes part: when only one does, the result is that value exactly.
-  float below = 0.0f, sum = 0.0f, base = 0.0f;
-  bool started = false;
-  for (const WeightedSample& sample : sorted) {
-    const float above = below + sample.weight;
-    const float part = std::min(above, high) - std::max(below, low);
-    if (part > 0.0f) {
-      if (!started) base = sample.value;
-      started = true;
-      sum += part * (sample.value - base);
-    }
-    below = above;
+  const auto part = [&](const RankedSample& sample) {
+    return std::min(std::max(sample.below + sample.weight, low), high) - std::min(std::max(sample.below, low), high);
+  };
+  // Summed as differences to a value that takes part: when only one does, the result is that value exactly.
+  float base = 0.0f, sum = 0.0f;
+  for (const RankedSample& sample : samples) {
+    if (part(sample) > 0.0f) base = sample.value;
   }
+  for (const RankedSample& sample : samples) sum += part(sample) * (sample.value - base);
   return base + sum / (high - low);
 }
 
-float SortedMedian(std::span<const WeightedSample> sorted, double blend) {
-  return blend == 0.0 ? StrictMedian(sorted) : BlendedMedian(sorted, static_cast<float>(blend));
-}
+bool BySource(const WeightedSample& a, const WeightedSample& b) { return a.source < b.source; }
 
 // The step of the biweight from `median`; `mad` is the median absolute deviation from it.
-float BiweightStep(std::span<const WeightedSample> sorted, float median, float mad, float floor) {
+float BiweightStep(std::span<const WeightedSample> samples, float median, float mad, float floor) {
   const float scale = kBiweightCutoff * mad + floor;
   if (!(scale > 0.0f)) return median;
   float sum = 0.0f, total = 0.0f;
-  for (const WeightedSample& sample : sorted) {
+  for (const WeightedSample& sample : samples) {
     const float deviation = sample.value - median;
     const float u = deviation / scale;
     const float trust = std::max(1.0f - u * u, 0.0f);
@@ -80,8 +90,9 @@ float BiweightStep(std::span<const WeightedSample> sorted, float median, float m
 float WeightedMedian(std::span<WeightedSample> samples, const MedianOptions& options) {
   TREM_CHECK(!samples.empty());
   TREM_CHECK(options.blend >= 0.0 && options.blend < 0.5);
-  std::sort(samples.begin(), samples.end(), InTotalOrder);
-  return SortedMedian(samples, options.blend);
+  std::sort(samples.begin(), samples.end(), BySource);
+  const std::vector<RankedSample> ranked = Rank(samples);
+  return options.blend == 0.0 ? StrictMedian(ranked) : BlendedMedian(ranked, static_cast<float>(options.blend));
 }
 
 PixelMedian ReducePixel(std::span<WeightedSample> samples, const MedianOptions& options) {
@@ -98,12 +109,12 @@ PixelMedian ReducePixel(std::span<WeightedSample> samples, const MedianOptions& 
     for (WeightedSample& sample : samples) sample.weight = 1.0f;
   }
   result.median = WeightedMedian(samples, {blend});
-  const std::vector<WeightedSample> sorted(samples.begin(), samples.end());
+  const std::vector<WeightedSample> by_source(samples.begin(), samples.end());
   for (WeightedSample& sample : samples) sample.value = std::abs(sample.value - result.median);
   const float mad = WeightedMedian(samples, {blend});
   result.nmad = static_cast<float>(kNmadPerMad) * mad;
   if (options.estimator == Estimator::kBiweight)
-    result.median = BiweightStep(sorted, result.median, mad, static_cast<float>(options.biweight_floor));
+    result.median = BiweightStep(by_source, result.median, mad, static_cast<float>(options.biweight_floor));
   return result;
 }
 

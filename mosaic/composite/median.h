@@ -9,7 +9,7 @@ namespace trem {
 struct WeightedSample {
   float value = 0.0f;
   float weight = 0.0f;       // > 0.
-  std::uint32_t source = 0;  // Distinct within a pixel; breaks ties.
+  std::uint32_t source = 0;  // Distinct within a pixel; orders sums and breaks ties.
 };
 
 // How the samples of a pixel become one value.
@@ -44,7 +44,7 @@ struct MedianOptions {
 struct PixelMedian {
   float median = 0.0f;  // Whatever the estimator.
   float nmad = 0.0f;    // 1.4826 * weighted median of |value - m|: the standard deviation if noise is Gaussian. m: the weighted median.
-  int count = 0;             // Samples.
+  int count = 0;        // Samples.
   std::uint32_t source = 0;  // Of the largest weight; the least source among equals.
 };
 
@@ -52,9 +52,10 @@ inline constexpr double kNmadPerMad = 1.4826;
 // Tukey's c: samples beyond that many median absolute deviations do not count (about 4 standard deviations of Gaussian noise).
 inline constexpr float kBiweightCutoff = 6.0f;
 
-// Weighted median of at least one sample. Samples are put into the total order (value, weight) first (in place), so that the result
-// does not depend on the order in which they come. All values and weights finite, weights > 0. Cost: n log n. In float32, one operation
-// after the other: ReduceRow (reduce_row.h) gives the same bytes.
+// Weighted median of at least one sample. They are put in the order of their sources first (in place): sums run in that order and it
+// breaks ties between values, so that the result does not depend on the order in which samples come. All values and weights finite,
+// weights > 0. Cost: n^2; it is the reference of ReduceRow (reduce_row.h), which gives the same bytes. In float32, one operation after the
+// other.
 float WeightedMedian(std::span<WeightedSample> samples, const MedianOptions& options);
 
 // Value, spread and source of at least one sample. `samples` is scratch: reordered, and overwritten. NMAD is about the weighted median

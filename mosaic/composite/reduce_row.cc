@@ -9,19 +9,22 @@
 #include <utility>
 #include <vector>
 
+#include "mosaic/base/check.h"
+
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "mosaic/composite/reduce_row.cc"
 #include <hwy/foreach_target.h>
 // After foreach_target.h, which includes this file again for every target.
+#include <hwy/aligned_allocator.h>
+#include <hwy/cache_control.h>
 #include <hwy/highway.h>
 
 #ifndef TREM_MOSAIC_COMPOSITE_REDUCE_ROW_ONCE
 #define TREM_MOSAIC_COMPOSITE_REDUCE_ROW_ONCE
 namespace trem::reduce {
 
-// Sorts after every sample; with weight 0 it changes no sum.
+// Sorts after every sample.
 inline constexpr float kAbsent = std::numeric_limits<float>::max();
-inline constexpr std::size_t kUnrolledMax = 8;
 inline constexpr std::size_t kLanesMax = 64;  // Floats of the widest vector that Highway knows, and more.
 
 struct Exchange {
@@ -65,18 +68,15 @@ constexpr auto NetworkOf() {
   return network;
 }
 
-// The network of any number of rows up to kNetworkRowsMax.
-inline const std::vector<Exchange>& Network(std::size_t n) {
-  static const auto* const networks = [] {
-    auto* made = new std::array<std::vector<Exchange>, kNetworkRowsMax + 1>;
-    for (std::size_t rows = 0; rows <= kNetworkRowsMax; ++rows) {
-      ForEachExchange(rows, [&](std::size_t i, std::size_t j) {
-        (*made)[rows].push_back({static_cast<std::uint8_t>(i), static_cast<std::uint8_t>(j)});
-      });
-    }
-    return made;
-  }();
-  return (*networks)[n];
+// All pairs i < j of kRows rows, i ascending, then j.
+template <std::size_t kRows>
+constexpr auto PairsOf() {
+  std::array<Exchange, kRows*(kRows - 1) / 2> pairs{};
+  std::size_t at = 0;
+  for (std::size_t i = 0; i < kRows; ++i) {
+    for (std::size_t j = i + 1; j < kRows; ++j) pairs[at++] = {static_cast<std::uint8_t>(i), static_cast<std::uint8_t>(j)};
+  }
+  return pairs;
 }
 
 }  // namespace trem::reduce
@@ -88,205 +88,160 @@ namespace trem::HWY_NAMESPACE {
 namespace hn = hwy::HWY_NAMESPACE;
 using D = hn::ScalableTag<float>;
 using V = hn::Vec<D>;
-using reduce::Exchange;
 using reduce::kAbsent;
 
 // Samples of a block of pixels, one vector a row.
 struct Block {
-  HWY_ALIGN float value[kNetworkRowsMax * reduce::kLanesMax];
-  HWY_ALIGN float weight[kNetworkRowsMax * reduce::kLanesMax];
-  HWY_ALIGN float deviation[kNetworkRowsMax * reduce::kLanesMax];
-  HWY_ALIGN float deviation_weight[kNetworkRowsMax * reduce::kLanesMax];
+  V* value;
+  V* weight;  // 0: the sample does not take part.
+  V* deviation;
+  V* below;
 };
 
-// Puts (va, wa) before (vb, wb) in the order (value, weight).
-HWY_INLINE void OrderPair(V& va, V& wa, V& vb, V& wb) {
-  const auto after = hn::Or(hn::Gt(va, vb), hn::And(hn::Eq(va, vb), hn::Gt(wa, wb)));
-  const V low = hn::Min(va, vb);
-  vb = hn::Max(va, vb);
-  va = low;
-  const V first = hn::IfThenElse(after, wb, wa);
-  wb = hn::IfThenElse(after, wa, wb);
-  wa = first;
+HWY_INLINE void OrderValues(V& a, V& b) {
+  const V low = hn::Min(a, b);
+  b = hn::Max(a, b);
+  a = low;
 }
 
 template <std::size_t kRows, std::size_t... kSteps>
-HWY_INLINE void SortUnrolled(float* value, float* weight, std::index_sequence<kSteps...>) {
-  const D d;
-  const std::size_t lanes = hn::Lanes(d);
-  constexpr auto kNetwork = reduce::NetworkOf<kRows>();
-  V v[kRows];
-  V w[kRows];
-  for (std::size_t i = 0; i < kRows; ++i) v[i] = hn::Load(d, value + i * lanes);
-  for (std::size_t i = 0; i < kRows; ++i) w[i] = hn::Load(d, weight + i * lanes);
-  (OrderPair(v[kNetwork[kSteps].low], w[kNetwork[kSteps].low], v[kNetwork[kSteps].high], w[kNetwork[kSteps].high]), ...);
-  for (std::size_t i = 0; i < kRows; ++i) hn::Store(v[i], d, value + i * lanes);
-  for (std::size_t i = 0; i < kRows; ++i) hn::Store(w[i], d, weight + i * lanes);
+HWY_INLINE void SortValues([[maybe_unused]] V* value, std::index_sequence<kSteps...>) {
+  [[maybe_unused]] constexpr auto kNetwork = reduce::NetworkOf<kRows>();
+  (OrderValues(value[kNetwork[kSteps].low], value[kNetwork[kSteps].high]), ...);
 }
 
-template <std::size_t kRows, std::size_t... kSteps>
-HWY_INLINE void SortValuesUnrolled(float* value, std::index_sequence<kSteps...>) {
-  const D d;
-  const std::size_t lanes = hn::Lanes(d);
-  constexpr auto kNetwork = reduce::NetworkOf<kRows>();
-  V v[kRows];
-  for (std::size_t i = 0; i < kRows; ++i) v[i] = hn::Load(d, value + i * lanes);
-  const auto exchange = [&](V& a, V& b) HWY_ATTR {
-    const V low = hn::Min(a, b);
-    b = hn::Max(a, b);
-    a = low;
-  };
-  (exchange(v[kNetwork[kSteps].low], v[kNetwork[kSteps].high]), ...);
-  for (std::size_t i = 0; i < kRows; ++i) hn::Store(v[i], d, value + i * lanes);
+// `sum` and what weighs `weight`, in the lanes of `mask`.
+template <typename M>
+HWY_INLINE V AddIf(M mask, V sum, V weight) {
+  return hn::IfThenElse(mask, hn::Add(sum, weight), sum);
 }
 
-template <std::size_t kRows>
-HWY_INLINE void SortFew(float* value, float* weight) {
-  constexpr auto kSteps = std::make_index_sequence<reduce::ExchangeCount(kRows)>();
-  if (weight != nullptr) {
-    SortUnrolled<kRows>(value, weight, kSteps);
-  } else {
-    SortValuesUnrolled<kRows>(value, kSteps);
+// Of rows i < j: adds each one's weight to what lies below the other.
+HWY_INLINE void WeighPair(V vi, V wi, V& below_i, V vj, V wj, V& below_j) {
+  const auto in_order = hn::Le(vi, vj);
+  below_j = AddIf(in_order, below_j, wi);
+  below_i = AddIf(hn::Not(in_order), below_i, wj);
+}
+
+template <std::size_t kRows, std::size_t... kPairs>
+HWY_INLINE void WeighPairs([[maybe_unused]] const V* value, [[maybe_unused]] const V* weight, V* below, std::index_sequence<kPairs...>) {
+  [[maybe_unused]] constexpr auto kPair = reduce::PairsOf<kRows>();
+  const V zero = hn::Zero(D());
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < kRows; ++i) below[i] = zero;
+  (WeighPair(value[kPair[kPairs].low], weight[kPair[kPairs].low], below[kPair[kPairs].low], value[kPair[kPairs].high],
+             weight[kPair[kPairs].high], below[kPair[kPairs].high]),
+   ...);
+}
+
+// Rows [first, first + kStep) of WeightBelow, kStep at a time so that their sums do not wait for each other.
+template <std::size_t kStep>
+HWY_INLINE void WeighRows(std::size_t n, std::size_t first, const V* value, const V* weight, V* below) {
+  const V zero = hn::Zero(D());
+  V own[kStep], sum[kStep];
+  _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) own[a] = value[first + a];
+  _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) sum[a] = zero;
+  for (std::size_t j = 0; j < first; ++j) {
+    _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) sum[a] = AddIf(hn::Le(value[j], own[a]), sum[a], weight[j]);
   }
-}
-
-HWY_INLINE void SortMany(std::size_t n, float* value, float* weight) {
-  const D d;
-  const std::size_t lanes = hn::Lanes(d);
-  for (const Exchange& step : reduce::Network(n)) {
-    float* const value_low = value + step.low * lanes;
-    float* const value_high = value + step.high * lanes;
-    V va = hn::Load(d, value_low), vb = hn::Load(d, value_high);
-    if (weight != nullptr) {
-      float* const weight_low = weight + step.low * lanes;
-      float* const weight_high = weight + step.high * lanes;
-      V wa = hn::Load(d, weight_low), wb = hn::Load(d, weight_high);
-      OrderPair(va, wa, vb, wb);
-      hn::Store(wa, d, weight_low);
-      hn::Store(wb, d, weight_high);
-    } else {
-      const V low = hn::Min(va, vb);
-      vb = hn::Max(va, vb);
-      va = low;
+  _Pragma("GCC unroll 4") for (std::size_t b = 0; b < kStep; ++b) {
+    _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) {
+      if (b == a) continue;
+      const auto before = b < a ? hn::Le(own[b], own[a]) : hn::Lt(own[b], own[a]);
+      sum[a] = AddIf(before, sum[a], weight[first + b]);
     }
-    hn::Store(va, d, value_low);
-    hn::Store(vb, d, value_high);
+  }
+  for (std::size_t j = first + kStep; j < n; ++j) {
+    _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) sum[a] = AddIf(hn::Lt(value[j], own[a]), sum[a], weight[j]);
+  }
+  _Pragma("GCC unroll 4") for (std::size_t a = 0; a < kStep; ++a) below[first + a] = sum[a];
+}
+
+// below[i]: the weight of the samples that come before sample i in the order (value, row), summed by rows. Nothing is sorted: a handful of
+// comparisons that do not wait for each other is faster than a network of exchanges that do.
+template <std::size_t kRows>
+HWY_INLINE void WeighBelow(std::size_t n, const V* value, const V* weight, V* below) {
+  if constexpr (kRows > 0) {
+    WeighPairs<kRows>(value, weight, below, std::make_index_sequence<kRows*(kRows - 1) / 2>());
+  } else {
+    constexpr std::size_t kStep = 4;
+    std::size_t i = 0;
+    for (; i + kStep <= n; i += kStep) WeighRows<kStep>(n, i, value, weight, below);
+    for (; i < n; ++i) WeighRows<1>(n, i, value, weight, below);
   }
 }
 
-// Sorts `n` rows lane by lane: by (value, weight), or by value alone when `weight` is null.
-HWY_INLINE void Sort(std::size_t n, float* value, float* weight) {
-  switch (n) {
-    case 0:
-    case 1:
-      return;
-    case 2:
-      return SortFew<2>(value, weight);
-    case 3:
-      return SortFew<3>(value, weight);
-    case 4:
-      return SortFew<4>(value, weight);
-    case 5:
-      return SortFew<5>(value, weight);
-    case 6:
-      return SortFew<6>(value, weight);
-    case 7:
-      return SortFew<7>(value, weight);
-    case 8:
-      return SortFew<8>(value, weight);
-    default:
-      return SortMany(n, value, weight);
-  }
-}
-
-HWY_INLINE V Total(std::size_t n, const float* weight) {
-  const D d;
-  V total = hn::Zero(d);
-  for (std::size_t i = 0; i < n; ++i) total = hn::Add(total, hn::Load(d, weight + i * hn::Lanes(d)));
+HWY_INLINE V Total(std::size_t n, const V* weight) {
+  V total = weight[0];
+  _Pragma("GCC unroll 8") for (std::size_t i = 1; i < n; ++i) total = hn::Add(total, weight[i]);
   return total;
 }
 
-// The same operations in the same order as BlendedMedian in median.cc.
-HWY_INLINE V BlendedMedianOf(std::size_t n, const float* value, const float* weight, float blend) {
+// The bytes of BlendedMedian in median.cc. A sample that does not take part has no part of the weight and adds exactly nothing.
+HWY_INLINE V BlendedMedianOf(std::size_t n, const V* value, const V* weight, const V* below, float blend) {
   const D d;
-  const std::size_t lanes = hn::Lanes(d);
   const V zero = hn::Zero(d);
   const V total = Total(n, weight);
   const V low = hn::Mul(hn::Set(d, 0.5f - blend), total);
   const V high = hn::Mul(hn::Set(d, 0.5f + blend), total);
-  V below = zero, sum = zero, base = zero;
-  auto started = hn::Lt(zero, zero);
-  for (std::size_t i = 0; i < n; ++i) {
-    const V v = hn::Load(d, value + i * lanes);
-    const V above = hn::Add(below, hn::Load(d, weight + i * lanes));
-    const V part = hn::Sub(hn::Min(above, high), hn::Max(below, low));
-    const auto takes_part = hn::Gt(part, zero);
-    base = hn::IfThenElse(hn::AndNot(started, takes_part), v, base);
-    started = hn::Or(started, takes_part);
-    sum = hn::IfThenElse(takes_part, hn::Add(sum, hn::Mul(part, hn::Sub(v, base))), sum);
-    below = above;
-  }
+  const auto part = [&](std::size_t i) HWY_ATTR {
+    const V above = hn::Add(below[i], weight[i]);
+    return hn::Sub(hn::Min(hn::Max(above, low), high), hn::Min(hn::Max(below[i], low), high));
+  };
+  V base = zero, sum = zero;
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < n; ++i) base = hn::IfThenElse(hn::Gt(part(i), zero), value[i], base);
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < n; ++i) sum = hn::Add(sum, hn::Mul(part(i), hn::Sub(value[i], base)));
   return hn::Add(base, hn::Div(sum, hn::Sub(high, low)));
 }
 
 // As StrictMedian in median.cc.
-HWY_INLINE V StrictMedianOf(std::size_t n, const float* value, const float* weight) {
+HWY_INLINE V StrictMedianOf(std::size_t n, const V* value, const V* weight, const V* below) {
   const D d;
-  const std::size_t lanes = hn::Lanes(d);
-  const V zero = hn::Zero(d);
   const V half = hn::Mul(hn::Set(d, 0.5f), Total(n, weight));
-  V below = zero, lower = zero, upper = zero;
-  auto has_lower = hn::Lt(zero, zero);
-  auto has_upper = has_lower;
-  for (std::size_t i = 0; i < n; ++i) {
-    const V v = hn::Load(d, value + i * lanes);
-    below = hn::Add(below, hn::Load(d, weight + i * lanes));
-    const auto reaches = hn::Ge(below, half);
-    const auto exceeds = hn::Gt(below, half);
-    lower = hn::IfThenElse(hn::AndNot(has_lower, reaches), v, lower);
-    upper = hn::IfThenElse(hn::AndNot(has_upper, exceeds), v, upper);
-    has_lower = hn::Or(has_lower, reaches);
-    has_upper = hn::Or(has_upper, exceeds);
+  V lower = hn::Set(d, kAbsent), upper = lower;
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < n; ++i) {
+    const auto given = hn::Gt(weight[i], hn::Zero(d));
+    const V above = hn::Add(below[i], weight[i]);
+    lower = hn::IfThenElse(hn::And(given, hn::Ge(above, half)), hn::Min(lower, value[i]), lower);
+    upper = hn::IfThenElse(hn::And(given, hn::Gt(above, half)), hn::Min(upper, value[i]), upper);
   }
   return hn::Mul(hn::Set(d, 0.5f), hn::Add(lower, upper));
 }
 
-HWY_INLINE V WeightedMedianOf(std::size_t n, const float* value, const float* weight, double blend) {
-  return blend == 0.0 ? StrictMedianOf(n, value, weight) : BlendedMedianOf(n, value, weight, static_cast<float>(blend));
+template <std::size_t kRows>
+HWY_INLINE V WeightedMedianOf(std::size_t n, const V* value, const V* weight, V* below, double blend) {
+  WeighBelow<kRows>(n, value, weight, below);
+  return blend == 0.0 ? StrictMedianOf(n, value, weight, below) : BlendedMedianOf(n, value, weight, below, static_cast<float>(blend));
 }
 
 // Median of the first `count` of `n` sorted values, lane by lane: the mean of the two in the middle.
-HWY_INLINE V PlainMedianOf(std::size_t n, const float* value, V count) {
+HWY_INLINE V PlainMedianOf(std::size_t n, const V* value, V count) {
   const D d;
   const V half = hn::Mul(hn::Set(d, 0.5f), count);
   const V upper_index = hn::Floor(half);
   const V lower_index = hn::Sub(hn::Ceil(half), hn::Set(d, 1.0f));
   V lower = hn::Zero(d), upper = hn::Zero(d);
-  for (std::size_t i = 0; i < n; ++i) {
-    const V v = hn::Load(d, value + i * hn::Lanes(d));
+  // n >= 1, so n / 2 is one of them.
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i <= n / 2; ++i) {
     const V index = hn::Set(d, static_cast<float>(i));
-    lower = hn::IfThenElse(hn::Eq(index, lower_index), v, lower);
-    upper = hn::IfThenElse(hn::Eq(index, upper_index), v, upper);
+    lower = hn::IfThenElse(hn::Eq(index, lower_index), value[i], lower);
+    upper = hn::IfThenElse(hn::Eq(index, upper_index), value[i], upper);
   }
   return hn::Mul(hn::Set(d, 0.5f), hn::Add(lower, upper));
 }
 
-// As BiweightStep in median.cc. Absent samples have weight 0 and a trust that is clamped to 0.
-HWY_INLINE V BiweightOf(std::size_t n, const float* value, const float* weight, V median, V mad, float floor) {
+// As BiweightStep in median.cc.
+HWY_INLINE V BiweightOf(std::size_t n, const V* value, const V* weight, V median, V mad, float floor) {
   const D d;
-  const std::size_t lanes = hn::Lanes(d);
   const V zero = hn::Zero(d), one = hn::Set(d, 1.0f);
   const V wanted = hn::Add(hn::Mul(hn::Set(d, kBiweightCutoff), mad), hn::Set(d, floor));
   const auto spreads = hn::Gt(wanted, zero);
   const V scale = hn::IfThenElse(spreads, wanted, one);
   V sum = zero, total = zero;
-  for (std::size_t i = 0; i < n; ++i) {
-    const V w = hn::Load(d, weight + i * lanes);
-    // An absent value would overflow.
-    const V deviation = hn::IfThenElseZero(hn::Gt(w, zero), hn::Sub(hn::Load(d, value + i * lanes), median));
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < n; ++i) {
+    const V deviation = hn::Sub(value[i], median);
     const V u = hn::Div(deviation, scale);
     const V trust = hn::Max(hn::Sub(one, hn::Mul(u, u)), zero);
-    const V share = hn::Mul(w, hn::Mul(trust, trust));
+    const V share = hn::Mul(weight[i], hn::Mul(trust, trust));
     sum = hn::Add(sum, hn::Mul(share, deviation));
     total = hn::Add(total, share);
   }
@@ -294,10 +249,17 @@ HWY_INLINE V BiweightOf(std::size_t n, const float* value, const float* weight, 
   return hn::IfThenElse(moves, hn::Add(median, hn::Div(sum, hn::IfThenElse(moves, total, one))), median);
 }
 
+// More rows are read side by side than the processor's own prefetching follows; floats ahead of the ones that are read.
+constexpr int kAhead = 128;
+
 // Columns [x, x + lanes) of `plane`, whose element 0 is column row.begin; 0 outside of the row.
 HWY_INLINE V LoadColumns(const SampleRow& row, const float* plane, int x, int lanes) {
   const D d;
-  if (x >= row.begin && x + lanes <= row.end) return hn::LoadU(d, plane + (x - row.begin));
+  if (x >= row.begin && x + lanes <= row.end) {
+    const float* const at = plane + (x - row.begin);
+    hwy::Prefetch(at + kAhead);
+    return hn::LoadU(d, at);
+  }
   HWY_ALIGN float part[reduce::kLanesMax] = {};
   const int first = std::max(x, row.begin), last = std::min(x + lanes, row.end);
   for (int column = first; column < last; ++column) part[column - x] = plane[column - row.begin];
@@ -313,109 +275,154 @@ HWY_INLINE void StoreColumns(V v, float* plane, int x, int count) {
   std::copy_n(part, left, plane + x);
 }
 
-HWY_INLINE void ReduceBlock(const SampleRow* const* rows, std::size_t row_count, int x, int count, const ReduceOptions& options,
-                            const ReducedRow& out, Block* block) {
+// Samples of the rows that are near, with weight 0 where a lane's does not take part; what follows from them without order goes out.
+// Returns their number, lane by lane. `n` > 0.
+HWY_INLINE V GatherSamples(const SampleRow* const* rows, std::size_t n, int x, int count, const ReduceOptions& options,
+                           const ReducedRow& out, const Block& block) {
   const D d;
-  const std::size_t lanes = hn::Lanes(d);
-  const int width = static_cast<int>(lanes);
-  const V zero = hn::Zero(d), one = hn::Set(d, 1.0f), half = hn::Set(d, 0.5f), absent = hn::Set(d, kAbsent);
+  const int width = static_cast<int>(hn::Lanes(d));
+  const V zero = hn::Zero(d), one = hn::Set(d, 1.0f);
   V best = zero;
-  for (std::size_t k = 0; k < row_count; ++k) {
-    const V w = LoadColumns(*rows[k], rows[k]->weight, x, width);
-    const V s = LoadColumns(*rows[k], rows[k]->saturation, x, width);
-    hn::Store(s, d, block->deviation + k * lanes);
-    hn::Store(w, d, block->deviation_weight + k * lanes);
-    best = hn::Max(best, hn::IfThenElseZero(hn::Gt(w, zero), s));
+  _Pragma("GCC unroll 8") for (std::size_t k = 0; k < n; ++k) {
+    block.weight[k] = LoadColumns(*rows[k], rows[k]->weight, x, width);
+    block.deviation[k] = LoadColumns(*rows[k], rows[k]->saturation, x, width);
+    best = hn::Max(best, hn::IfThenElseZero(hn::Gt(block.weight[k], zero), block.deviation[k]));
   }
-  const V limit = hn::Min(half, hn::Mul(hn::Set(d, options.poor_ratio), best));
-  const bool one_vote = options.median.estimator == Estimator::kMedian;
+  const V limit = hn::Min(hn::Set(d, 0.5f), hn::Mul(hn::Set(d, options.poor_ratio), best));
   V samples = zero, weight_sum = zero, sigma2_sum = zero, heaviest = zero;
   V source = hn::Set(d, options.no_source);
-  std::size_t n = 0;
-  for (std::size_t k = 0; k < row_count; ++k) {
-    const V given = hn::Load(d, block->deviation_weight + k * lanes);
-    const auto takes_part = hn::And(hn::Gt(given, zero), hn::Ge(hn::Load(d, block->deviation + k * lanes), limit));
-    if (hn::AllFalse(d, takes_part)) continue;
-    const V w = hn::IfThenElseZero(takes_part, given);
-    hn::Store(hn::IfThenElse(takes_part, LoadColumns(*rows[k], rows[k]->value, x, width), absent), d, block->value + n * lanes);
-    hn::Store(one_vote ? hn::IfThenElseZero(takes_part, one) : w, d, block->weight + n * lanes);
-    samples = hn::Add(samples, hn::IfThenElseZero(takes_part, one));
+  _Pragma("GCC unroll 8") for (std::size_t k = 0; k < n; ++k) {
+    const auto takes_part = hn::And(hn::Gt(block.weight[k], zero), hn::Ge(block.deviation[k], limit));
+    const V w = hn::IfThenElseZero(takes_part, block.weight[k]);
+    block.value[k] = LoadColumns(*rows[k], rows[k]->value, x, width);
+    block.weight[k] = w;
+    samples = AddIf(takes_part, samples, one);
     weight_sum = hn::Add(weight_sum, w);
     sigma2_sum = hn::Add(sigma2_sum, hn::Mul(w, hn::Set(d, rows[k]->sigma2)));
     const auto dominates = hn::Gt(w, heaviest);
     heaviest = hn::Max(heaviest, w);
     source = hn::IfThenElse(dominates, hn::Set(d, rows[k]->source), source);
-    ++n;
   }
   const auto covered = hn::Gt(samples, zero);
-  const V nan = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
   const V divisor = hn::IfThenElse(covered, weight_sum, one);
   StoreColumns(samples, out.count, x, count);
   StoreColumns(source, out.source, x, count);
+  const V nan = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
   StoreColumns(hn::IfThenElse(covered, hn::Sqrt(hn::Div(sigma2_sum, divisor)), nan), out.position_sigma, x, count);
-
-  const double blend = options.median.blend;
-  float* const sorted_weight = one_vote ? nullptr : block->weight;
-  Sort(n, block->value, sorted_weight);
-  V result = one_vote ? PlainMedianOf(n, block->value, samples) : WeightedMedianOf(n, block->value, block->weight, blend);
-  V mad = zero;
-  if (n > 1) {
-    for (std::size_t i = 0; i < n; ++i) {
-      const V v = hn::Load(d, block->value + i * lanes);
-      const V deviation = hn::IfThenElse(hn::Eq(v, absent), absent, hn::Abs(hn::Sub(v, result)));
-      hn::Store(deviation, d, block->deviation + i * lanes);
-      if (!one_vote) hn::Store(hn::Load(d, block->weight + i * lanes), d, block->deviation_weight + i * lanes);
-    }
-    Sort(n, block->deviation, one_vote ? nullptr : block->deviation_weight);
-    mad = one_vote ? PlainMedianOf(n, block->deviation, samples) : WeightedMedianOf(n, block->deviation, block->deviation_weight, blend);
-    if (options.median.estimator == Estimator::kBiweight) {
-      result = BiweightOf(n, block->value, block->weight, result, mad, static_cast<float>(options.median.biweight_floor));
-    }
-  }
-  StoreColumns(hn::IfThenElse(covered, result, nan), out.value, x, count);
-  const V nmad = hn::Mul(hn::Set(d, static_cast<float>(kNmadPerMad)), mad);
-  StoreColumns(hn::IfThenElse(hn::Gt(samples, one), nmad, nan), out.nmad, x, count);
+  return samples;
 }
 
-// Columns [x, end) of more rows than a network takes.
-void ReducePixelByPixel(const SampleRow* const* rows, std::size_t row_count, int x, int end, const ReduceOptions& options,
-                        const ReducedRow& out) {
-  std::vector<WeightedSample> samples;
-  for (; x < end; ++x) {
-    float best = 0.0f;
-    for (std::size_t k = 0; k < row_count; ++k) {
-      const SampleRow& row = *rows[k];
-      if (x >= row.begin && x < row.end && row.weight[x - row.begin] > 0.0f) best = std::max(best, row.saturation[x - row.begin]);
+struct Centre {
+  V value;
+  V mad;
+};
+
+// Every sample one vote: few rows are sorted by a network, by value alone.
+template <std::size_t kRows>
+HWY_INLINE Centre PlainCentre(const Block& block, V samples) {
+  const D d;
+  const V absent = hn::Set(d, kAbsent);
+  constexpr auto kSteps = std::make_index_sequence<reduce::ExchangeCount(kRows)>();
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < kRows; ++i) {
+    block.value[i] = hn::IfThenElse(hn::Gt(block.weight[i], hn::Zero(d)), block.value[i], absent);
+  }
+  SortValues<kRows>(block.value, kSteps);
+  const V median = PlainMedianOf(kRows, block.value, samples);
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < kRows; ++i) {
+    block.deviation[i] = hn::IfThenElse(hn::Eq(block.value[i], absent), absent, hn::Abs(hn::Sub(block.value[i], median)));
+  }
+  SortValues<kRows>(block.deviation, kSteps);
+  return {median, PlainMedianOf(kRows, block.deviation, samples)};
+}
+
+template <std::size_t kRows>
+HWY_INLINE Centre WeightedCentre(std::size_t n, const Block& block, const MedianOptions& options) {
+  const bool one_vote = options.estimator == Estimator::kMedian;
+  const D d;
+  if (one_vote) {
+    for (std::size_t i = 0; i < n; ++i) {
+      block.weight[i] = hn::IfThenElseZero(hn::Gt(block.weight[i], hn::Zero(d)), hn::Set(d, 1.0f));
     }
-    const float limit = std::min(0.5f, options.poor_ratio * best);
-    samples.clear();
-    float weight_sum = 0.0f, sigma2_sum = 0.0f;
-    for (std::size_t k = 0; k < row_count; ++k) {
-      const SampleRow& row = *rows[k];
-      if (x < row.begin || x >= row.end) continue;
-      const int i = x - row.begin;
-      if (!(row.weight[i] > 0.0f) || !(row.saturation[i] >= limit)) continue;
-      samples.push_back({row.value[i], row.weight[i], static_cast<std::uint32_t>(k)});
-      weight_sum += row.weight[i];
-      sigma2_sum += row.weight[i] * row.sigma2;
-    }
-    constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-    out.count[x] = static_cast<float>(samples.size());
-    out.source[x] = options.no_source;
-    out.value[x] = out.nmad[x] = out.position_sigma[x] = kNan;
-    if (samples.empty()) continue;
-    const PixelMedian pixel = ReducePixel(samples, options.median);
-    out.value[x] = pixel.median;
-    if (pixel.count > 1) out.nmad[x] = pixel.nmad;
-    out.position_sigma[x] = std::sqrt(sigma2_sum / weight_sum);
-    out.source[x] = rows[pixel.source]->source;
+  }
+  const double blend = one_vote ? 0.0 : options.blend;
+  const V median = WeightedMedianOf<kRows>(n, block.value, block.weight, block.below, blend);
+  if (n == 1) return {median, hn::Zero(d)};
+  _Pragma("GCC unroll 8") for (std::size_t i = 0; i < n; ++i) block.deviation[i] = hn::Abs(hn::Sub(block.value[i], median));
+  const V mad = WeightedMedianOf<kRows>(n, block.deviation, block.weight, block.below, blend);
+  if (options.estimator != Estimator::kBiweight) return {median, mad};
+  return {BiweightOf(n, block.value, block.weight, median, mad, static_cast<float>(options.biweight_floor)), mad};
+}
+
+// kRows > 0: that many rows, known to the compiler, which then keeps them in registers; 0: any number.
+template <std::size_t kRows>
+HWY_INLINE void ReduceBlock(const SampleRow* const* rows, std::size_t n, int x, int count, const ReduceOptions& options,
+                            const ReducedRow& out, const Block& block) {
+  const D d;
+  const V samples = GatherSamples(rows, n, x, count, options, out, block);
+  Centre centre;
+  if constexpr (kRows > 0) {
+    centre = options.median.estimator == Estimator::kMedian ? PlainCentre<kRows>(block, samples)
+                                                            : WeightedCentre<kRows>(n, block, options.median);
+  } else {
+    centre = WeightedCentre<0>(n, block, options.median);
+  }
+  const V nan = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
+  StoreColumns(hn::IfThenElse(hn::Gt(samples, hn::Zero(d)), centre.value, nan), out.value, x, count);
+  const V nmad = hn::Mul(hn::Set(d, static_cast<float>(kNmadPerMad)), centre.mad);
+  StoreColumns(hn::IfThenElse(hn::Gt(samples, hn::Set(d, 1.0f)), nmad, nan), out.nmad, x, count);
+}
+
+template <std::size_t kRows>
+HWY_NOINLINE void ReduceFew(const SampleRow* const* rows, int x, int count, const ReduceOptions& options, const ReducedRow& out) {
+  V value[kRows], weight[kRows], deviation[kRows], below[kRows];
+  ReduceBlock<kRows>(rows, kRows, x, count, options, out, {value, weight, deviation, below});
+}
+
+// `scratch` holds 4 n vectors.
+HWY_NOINLINE void ReduceMany(const SampleRow* const* rows, std::size_t n, int x, int count, const ReduceOptions& options,
+                             const ReducedRow& out, V* scratch) {
+  ReduceBlock<0>(rows, n, x, count, options, out, {scratch, scratch + n, scratch + 2 * n, scratch + 3 * n});
+}
+
+HWY_NOINLINE void ReduceNone(int x, int count, const ReduceOptions& options, const ReducedRow& out) {
+  const D d;
+  const V nan = hn::Set(d, std::numeric_limits<float>::quiet_NaN());
+  StoreColumns(hn::Zero(d), out.count, x, count);
+  StoreColumns(hn::Set(d, options.no_source), out.source, x, count);
+  for (float* const plane : {out.value, out.nmad, out.position_sigma}) StoreColumns(nan, plane, x, count);
+}
+
+void ReduceNear(const SampleRow* const* rows, std::size_t n, int x, int count, const ReduceOptions& options, const ReducedRow& out,
+                V* scratch) {
+  switch (n) {
+    case 0:
+      return ReduceNone(x, count, options, out);
+    case 1:
+      return ReduceFew<1>(rows, x, count, options, out);
+    case 2:
+      return ReduceFew<2>(rows, x, count, options, out);
+    case 3:
+      return ReduceFew<3>(rows, x, count, options, out);
+    case 4:
+      return ReduceFew<4>(rows, x, count, options, out);
+    case 5:
+      return ReduceFew<5>(rows, x, count, options, out);
+    case 6:
+      return ReduceFew<6>(rows, x, count, options, out);
+    case 7:
+      return ReduceFew<7>(rows, x, count, options, out);
+    case 8:
+      return ReduceFew<8>(rows, x, count, options, out);
+    default:
+      return ReduceMany(rows, n, x, count, options, out, scratch);
   }
 }
 
 void ReduceRowTarget(const SampleRow* const* all, std::size_t row_count, int count, const ReduceOptions& options, const ReducedRow& out,
                      const SampleRow** near_rows) {
   const int lanes = static_cast<int>(hn::Lanes(D()));
-  Block block;
+  const auto scratch = hwy::AllocateAligned<V>(4 * std::max<std::size_t>(row_count, 1));
+  TREM_CHECK(scratch != nullptr);
   std::size_t near = 0;
   int next_begin = 0, next_end = 0;  // Until there the rows that are near stay the same.
   for (int x = 0; x < count; x += lanes) {
@@ -430,11 +437,7 @@ void ReduceRowTarget(const SampleRow* const* all, std::size_t row_count, int cou
         next_end = std::min(next_end, all[k]->end);
       }
     }
-    if (near > static_cast<std::size_t>(kNetworkRowsMax)) {
-      ReducePixelByPixel(near_rows, near, x, end, options, out);
-    } else {
-      ReduceBlock(near_rows, near, x, count, options, out, &block);
-    }
+    ReduceNear(near_rows, near, x, count, options, out, scratch.get());
   }
 }
 

@@ -33,14 +33,11 @@ struct ReduceOptions {
   float no_source = -1.0f;
 };
 
-// Rows are sorted by networks up to here, beyond it pixel by pixel.
-inline constexpr int kNetworkRowsMax = 64;
-
-// Reduces every column of [0, count) as ReducePixel does, bit for bit, whatever the vectors of this processor: networks of compare and
-// exchange (Batcher's merge exchange, Knuth, TAOCP vol. 3, 5.2.2 M; the fewest known exchanges up to 8 rows) over (value, weight), as many
-// pixels at a time as a vector has lanes; with Estimator::kMedian over the values alone. Samples that do not take part are sorted to the
-// end with weight 0, so that rows which say nothing of a pixel do not change it. Cost: about n log^2 n / lanes a pixel, twice (value
-// and spread).
+// Reduces every column of [0, count) as ReducePixel does, bit for bit, whatever the vectors of this processor: as many pixels at a time as
+// a vector has lanes. Nothing is sorted; what lies below each sample is found by comparing all pairs (with Estimator::kMedian up to 8 rows
+// go through a network of compare and exchange instead: Batcher's merge exchange, Knuth, TAOCP vol. 3, 5.2.2 M). Samples that do not take
+// part have weight 0 and add exactly nothing, so that rows which say nothing of a pixel do not change it. Cost: about n^2 / lanes
+// operations a pixel, twice (value and spread), and up to 8 rows in registers alone.
 void ReduceRow(std::span<const SampleRow> rows, int count, const ReduceOptions& options, const ReducedRow& out);
 
 }  // namespace trem

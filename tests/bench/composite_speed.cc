@@ -1,8 +1,9 @@
 // Questions: how fast does a pixel become a median, beside what else gives one, and how near is that to what the memory allows?
 // Baselines, measured in the same run on one core, piece by piece the best of several passes:
 //   nth_element  the textbook median of the values of a pixel, gathered from the same planes: no weights, spread, count or source
-//   sort         this project's own scalar reference (ReducePixel): sorted, weighted, with everything that the vectors give
-//   memcpy       of the bytes that a reduction must move: n values, weights and saturations read, five planes written
+//   sort         this project's own scalar reference (ReducePixel): weighted, with everything that the vectors give
+//   memcpy       of the bytes that a reduction must move: n values, weights and saturations read, five planes written; as they are, no
+//                cache holds the planes
 // and for whole tiles, resampling included:
 //   GDAL         warping every scene with GDAL (cubic) and averaging what comes out, as a VRT over warped scenes does: it gives a mean, no
 //                median
@@ -231,7 +232,7 @@ void TileTable(const std::vector<int>& view_counts, int side, int trials) {
 
 int main(int argc, char** argv) {
   std::vector<int> views = {3, 5, 8, 16, 32};
-  int side = 2048, rows = 256, trials = 7, tile_side = 512;
+  int side = 2048, rows = 1024, trials = 7, tile_side = 512;
   CLI::App app("Speed of the median, beside its peers");
   app.add_option("--views", views, "Scenes over a pixel")->check(CLI::Range(1, 64));
   app.add_option("--side", side, "Pixels of a row")->check(CLI::Range(16, 100000));
