@@ -26,8 +26,11 @@ enum class PlantedFault {
   kIgnoresMemory,
   kGivesUpAtOnce,  // One failure makes a hole.
   kNeverGivesUp,
-  kForgottenRepair,  // A damaged artefact is not made again.
-  kServesDraining,   // A draining worker gets new tasks.
+  kForgottenRepair,       // A damaged artefact is not made again.
+  kServesDraining,        // A draining worker gets new tasks.
+  kUnloggedRemoval,       // That a job was removed is not written down.
+  kForgetsOthersResults,  // With a removed job its results go, whoever else has them.
+  kIgnoresUserLimit,
 };
 
 inline PlantedFault planted_fault = PlantedFault::kNone;

@@ -37,7 +37,7 @@ void Scheduler::LeaveOrder(const std::string& name, const User& user) {
 
 void Scheduler::EnterOrder(const std::string& name, User* user) {
   std::erase_if(user->queues, [](const auto& queue) { return queue.second.empty(); });
-  if (options_.user_tasks_max != 0 && user->running >= options_.user_tasks_max) return;
+  if (options_.user_tasks_max != 0 && user->running >= options_.user_tasks_max && !TREM_PLANTED(kIgnoresUserLimit)) return;
   for (const auto& [priority, queue] : user->queues) ready_users_.insert({-priority, user->running, user->served, name});
 }
 

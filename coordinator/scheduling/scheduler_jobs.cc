@@ -110,7 +110,12 @@ void Scheduler::Commit(TaskIndex index, v1::TaskKind kind, FinishedTask finished
   task.state = TaskState::kFinished;
   task.was_handed_out = false;
   task.finished = std::make_unique<Finished>(Finished{kind, std::make_shared<const FinishedTask>(std::move(finished)), {}});
-  task.damaged.reset();
+  if (task.damaged != nullptr) {
+    // Jobs that are done had the damaged one and have this one now; those that want it are told below.
+    task.finished->used_by = std::move(task.damaged->used_by);
+    std::erase_if(task.finished->used_by, [&](const JobPlace& place) { return std::ranges::count(task.wanted_by, place) > 0; });
+    task.damaged.reset();
+  }
   task.trouble.reset();
   Completions completions;
   for (const JobPlace& place : task.wanted_by) {
@@ -230,7 +235,11 @@ void Scheduler::StopWanting(TaskIndex index, const JobPlace& place) {
     return;
   }
   LeaveQueues(index, "job " + job.id + " does not want it any more");
-  task.damaged.reset();
+  if (task.damaged == nullptr) return;
+  // Nobody waits for it to be made again: what it was is known, and a job that ended without it still has it. Who reads it will find the
+  // damage again.
+  task.finished = std::move(task.damaged);
+  task.state = TaskState::kFinished;
 }
 
 void Scheduler::On(const CancelJobEvent& event) {
@@ -247,7 +256,7 @@ void Scheduler::On(const RemoveJobEvent& event) {
   if (number == job_numbers_.end() || jobs_.at(number->second).state == v1::JOB_RUNNING) return;
   v1::LogEvent log;
   log.mutable_job_removed()->set_job_id(event.job_id);
-  Append(std::move(log));
+  if (!TREM_PLANTED(kUnloggedRemoval)) Append(std::move(log));
   ForgetJob(number->second);
 }
 
@@ -260,7 +269,7 @@ void Scheduler::ForgetJob(JobNumber number) {
   for (Task& task : tasks_) {
     let_go(&task.damaged);
     let_go(&task.finished);
-    if (task.finished == nullptr || !task.finished->used_by.empty()) continue;
+    if (task.finished == nullptr || (!task.finished->used_by.empty() && !TREM_PLANTED(kForgetsOthersResults))) continue;
     task.finished.reset();
     task.state = TaskState::kIdle;  // Its number stays: it fences whoever may still be at it.
     differed_.erase(task.key);

@@ -75,6 +75,10 @@ Status Scheduler::Restore(const v1::LogEvent& event) {
       for (const JobPlace& place : wanted_by) {
         const Status reason(static_cast<StatusCode>(quarantined.status_code()), quarantined.message());
         if (reason.ok()) return Corrupt("a task was given up without a failure");
+        if (place.place.kind != v1::ENHANCE && place.place.kind != v1::COMPOSITE) {
+          return Corrupt("the log makes a hole of " + TaskTitle(place.place.kind, place.place.index) +
+                         ", for which there is no substitute");
+        }
         if (place.job == number) MakeHole(number, place.place, reason);
       }
       break;
@@ -127,6 +131,7 @@ std::function<std::optional<v1::LogEvent>()> Scheduler::BeginSnapshot() const {
     std::vector<v1::LogEvent> rest;
     std::size_t next = 0;
   };
+  std::vector<const Task*> damaged;
   const auto cursor = std::make_shared<Cursor>();
   cursor->tasks.reserve(tasks_.size());
   for (const Task& task : tasks_) {
@@ -136,11 +141,20 @@ std::function<std::optional<v1::LogEvent>()> Scheduler::BeginSnapshot() const {
     TaskRecord& record = cursor->tasks.emplace_back();
     record.key = &task.key;
     record.newest_attempt = task.newest_attempt;
-    if (task.finished == nullptr) continue;
-    record.finished = task.finished->task;
-    record.kind = task.finished->kind;
+    // What was built on a result that is being made again stands.
+    const Finished* finished = task.finished != nullptr ? task.finished.get() : task.damaged.get();
+    if (finished == nullptr) continue;
+    record.finished = finished->task;
+    record.kind = finished->kind;
+    if (task.damaged != nullptr) damaged.push_back(&task);
   }
   SnapshotJobs(&cursor->rest);
+  for (const Task* task : damaged) {
+    cursor->rest.emplace_back().mutable_task_invalidated()->set_task_key(task->key);
+    v1::AttemptStarted* started = cursor->rest.emplace_back().mutable_attempt_started();
+    started->set_task_key(task->key);
+    started->set_attempt(task->newest_attempt);
+  }
   return [cursor]() -> std::optional<v1::LogEvent> {
     const std::size_t i = cursor->next++;
     if (i < cursor->tasks.size()) {

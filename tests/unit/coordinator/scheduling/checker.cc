@@ -2,11 +2,14 @@
 
 #include <algorithm>
 
+#include "tests/unit/coordinator/scheduling/fake_tasks.h"
+
 namespace trem::testing {
 
 void Checker::Restart() {
   live_.clear();
   workers_.clear();
+  restored_ = newest_;
 }
 
 std::uint32_t Checker::FailuresOf(const std::string& key) const {
@@ -105,11 +108,13 @@ void Checker::TakeEffect(const Effect& effect) {
 
 void Checker::OnDispatch(const DispatchEffect& dispatch) {
   const std::string& key = dispatch.task.key();
-  if (committed_.count(key) > 0) Complain("a committed task was handed out again");
+  if (committed_.count(key) > 0)
+    Complain("a committed task was handed out again: " + TitleOf(dispatch) + " of sortie " + FakeSortieNameOf(dispatch.task));
   if (dispatch.attempt <= newest_[key]) Complain("attempt " + std::to_string(dispatch.attempt) + " was handed out twice");
   newest_[key] = std::max(newest_[key], dispatch.attempt);
   auto& holders = live_[key];
   const bool is_hedge = hedges_.count({key, dispatch.attempt}) > 0;
+  if (!is_hedge) restored_.erase(key);
   if (holders.size() > (is_hedge ? 1U : 0U)) {
     Complain("a task was handed out while worker " + holders.begin()->second.worker_id + " has its lease");
   }
@@ -122,6 +127,9 @@ void Checker::OnDispatch(const DispatchEffect& dispatch) {
   });
   worker->second.held_until_ms.erase(key);
   if (worker->second.is_draining) Complain("a task was handed to a worker that drains");
+  sortie_of_[key] = FakeSortieNameOf(dispatch.task);
+  if (dispatch.task.kind() == v1::INGEST) ingests_.insert(key);
+  if (!is_hedge) CheckUserLimit(sortie_of_[key]);
   worker->second.held[key] = dispatch.task.memory_bytes();
   if (worker->second.held.size() > worker->second.credit) Complain("a worker was given more than its credit");
   std::uint64_t memory_bytes = 0;
@@ -138,9 +146,14 @@ void Checker::OnAppend(const v1::LogEvent& event) {
   if (event.has_task_committed()) {
     const v1::TaskCommitted& committed = event.task_committed();
     if (!committed_.insert(committed.task_key()).second) Complain("a key was committed twice");
-    if (!done_was_due_ && committed.attempt() != newest_[committed.task_key()]) Complain("the result of an old attempt was committed");
+    const bool may_be_leased = restored_.count(committed.task_key()) > 0 && restored_[committed.task_key()] == committed.attempt();
+    if (!done_was_due_ && !may_be_leased && committed.attempt() != newest_[committed.task_key()])
+      Complain("the result of an old attempt was committed");
     done_was_committed_ = true;
+    forgotten_.erase(committed.task_key());
   }
+  if (event.has_job_submitted()) users_of_[event.job_submitted().sortie().name()].insert(event.job_submitted().user());
+  if (event.has_job_removed()) ForgetUnused();
   if (event.has_result_differed()) Complain("equal results were reported as different");
   if (event.has_task_invalidated()) committed_.erase(event.task_invalidated().task_key());
   if (event.has_task_quarantined()) {
@@ -148,6 +161,27 @@ void Checker::OnAppend(const v1::LogEvent& event) {
     if (FailuresOf(key) < options_.failures_max) {
       Complain("a task was given up after " + std::to_string(FailuresOf(key)) + " failures");
     }
+  }
+}
+
+// Of a sortie that only one user has ever submitted every lease is on that user's account.
+void Checker::CheckUserLimit(const std::string& sortie) {
+  if (options_.user_tasks_max == 0 || users_of_[sortie].size() != 1) return;
+  std::size_t running = 0;
+  for (const auto& [key, holders] : live_) running += !holders.empty() && sortie_of_[key] == sortie ? 1 : 0;
+  if (running > options_.user_tasks_max) Complain("a user has more tasks running than the limit");
+}
+
+// What a removed job had may be computed again, unless a job that is done has it too.
+void Checker::ForgetUnused() {
+  for (auto key = committed_.begin(); key != committed_.end();) {
+    if (ingests_.count(*key) == 0 && done_sorties_.count(sortie_of_[*key]) > 0) {
+      ++key;
+      continue;
+    }
+    forgotten_.insert(*key);
+    acknowledged_.erase(*key);
+    key = committed_.erase(key);
   }
 }
 
@@ -167,6 +201,7 @@ void Checker::CheckLog(const std::vector<v1::LogEvent>& log) {
     if (event.has_task_committed()) in_log.insert(event.task_committed().task_key());
     if (event.has_task_invalidated()) in_log.erase(event.task_invalidated().task_key());
   }
+  for (const std::string& key : forgotten_) in_log.erase(key);
   for (const std::string& key : acknowledged_) {
     if (committed_.count(key) > 0 && in_log.count(key) == 0) Complain("an acknowledged result is not in the log");
   }

@@ -183,6 +183,34 @@ TEST(RecoveryTest, ARemovedJobStaysForgottenThoughTheLogStillTellsOfIt) {
   EXPECT_THAT(Only<DispatchEffect>(bench.Wait(bench.options.restart_grace_ms)), IsEmpty());
 }
 
+// A job that wants other tiles of the same windows; what it had made again is not its own.
+TEST(RecoveryTest, WhatAFinishedJobHasStaysItsOwnWhenAnotherHadItMadeAgain) {
+  for (const bool ends_unrepaired : {false, true}) {
+    SCOPED_TRACE(ends_unrepaired);
+    Bench bench;
+    bench.Hello("w1");
+    bench.RunAll(bench.Submit("done"));
+    const std::set<std::string> had = ArtefactsInUse(bench.scheduler);
+    v1::Sortie other = FakeSortie("leg");
+    other.mutable_mosaic()->set_gsd(0.25);
+    DispatchEffect dispatch = Only<DispatchEffect>(bench.Step(SubmitJobEvent{"other", other, "", 0})).at(0);
+    while (dispatch.task.kind() != v1::ALIGN) dispatch = Only<DispatchEffect>(bench.Done(dispatch)).at(0);
+    const auto repairs = Only<DispatchEffect>(bench.Fail(dispatch, StatusCode::kCorrupt, "damaged", {dispatch.task.inputs(2).sha256()}));
+    ASSERT_EQ(repairs.size(), 1U);
+    ASSERT_EQ(repairs[0].task.kind(), v1::ENHANCE);
+    bench.RestartFromSnapshot();
+    EXPECT_EQ(bench.Status("done").state(), v1::JOB_DONE);
+    bench.Hello("w1", {AttemptOf(repairs[0])});
+    if (!ends_unrepaired) bench.Done(repairs[0]);
+    bench.Step(CancelJobEvent{"other"});
+    bench.Step(RemoveJobEvent{"other"});
+    EXPECT_EQ(ArtefactsInUse(bench.scheduler), had);
+    bench.RestartFromSnapshot();
+    EXPECT_EQ(ArtefactsInUse(bench.scheduler), had);
+    EXPECT_EQ(bench.Status("done").state(), v1::JOB_DONE);
+  }
+}
+
 TEST(RecoveryTest, ARunningJobIsNotRemoved) {
   Bench bench;
   bench.Hello("w1");
@@ -229,6 +257,15 @@ TEST(RecoveryTest, RefusesALogThatMakesNoSense) {
   event.mutable_job_cancelled()->set_job_id("never-submitted");
   EXPECT_EQ(scheduler.Restore(event).code(), StatusCode::kCorrupt);
   EXPECT_EQ(scheduler.Restore(v1::LogEvent()).code(), StatusCode::kCorrupt);
+
+  Bench bench;
+  bench.Hello("w1");
+  const DispatchEffect ingest = Only<DispatchEffect>(bench.Submit("job")).at(0);
+  for (const v1::LogEvent& logged : bench.log) ASSERT_TRUE(scheduler.Restore(logged).ok());
+  event.mutable_task_quarantined()->set_job_id("job");
+  event.mutable_task_quarantined()->set_task_key(ingest.task.key());
+  event.mutable_task_quarantined()->set_status_code(static_cast<std::uint32_t>(StatusCode::kFailed));
+  EXPECT_EQ(scheduler.Restore(event).code(), StatusCode::kCorrupt) << "nothing can be made without an INGEST";
 }
 
 }  // namespace

@@ -27,6 +27,7 @@ Simulation::Simulation(std::uint64_t seed, ShellFault shell_fault)
   options_.outages_max = 1'000;
   options_.losses_max = 1'000;
   options_.repairs_max = 1'000;
+  if (seed % 4 == 0) options_.user_tasks_max = 2;
   scheduler_ = Scheduler(options_);
   checker_ = Checker(options_);
 }
@@ -128,6 +129,7 @@ void Simulation::Feed(const Event& event) {
 // What is not durable has not happened, as far as anybody can tell.
 void Simulation::Show() {
   if (!unseen_) return;
+  checker_.SetDoneSorties(DoneSorties());
   checker_.Step(unseen_->now_ms, unseen_->event, unseen_->effects);
   unseen_.reset();
   for (const std::string& violation : checker_.TakeViolations()) Complain(violation);
@@ -158,6 +160,9 @@ void Simulation::Restart() {
   for (const v1::LogEvent& event : disk_) {
     const trem::Status status = scheduler_.Restore(event);
     if (!status.ok()) Complain("the log cannot be replayed: " + status.ToString());
+  }
+  for (const std::string& job_id : removed_) {
+    if (scheduler_.FindSortie(job_id) != nullptr) Complain("a removed job is there again");
   }
   last_heard_ms_.clear();
   checker_.Restart();
@@ -208,8 +213,33 @@ void Simulation::CoordinatorTick() {
 
 // The client's part: it asks until it sees its job.
 void Simulation::Submit(const std::string& job_id) {
-  if (busy_until_ms_ > now_ms_ || scheduler_.FindSortie(job_id) != nullptr) return;
-  Feed(SubmitJobEvent{job_id, FakeSortie(submitted_.at(job_id)), job_id, static_cast<int>(seed_ % 3) - 1});
+  if (busy_until_ms_ > now_ms_ || scheduler_.FindSortie(job_id) != nullptr || removed_.count(job_id) > 0) return;
+  Feed(SubmitJobEvent{job_id, FakeSortie(submitted_.at(job_id)), job_id, static_cast<int>((seed_ + comes_back_) % 3) - 1});
+}
+
+// The client asks until it is told that the job is gone; it may then begin anew.
+void Simulation::RemoveJobs() {
+  if (busy_until_ms_ > now_ms_ || submitted_.count(to_remove_) == 0) return;
+  if (removed_.count(to_remove_) > 0) {
+    if (comes_back_ || !Fault("job submitted again", 0.01)) return;
+    comes_back_ = true;
+    removed_.erase(to_remove_);
+    cancelled_.erase(to_remove_);
+    return;
+  }
+  const auto status = scheduler_.JobStatus(to_remove_);
+  if (comes_back_ || !status || status->state() == v1::JOB_RUNNING || !Fault("job removed", 0.02)) return;
+  Feed(RemoveJobEvent{to_remove_});
+  if (busy_until_ms_ <= now_ms_ && scheduler_.FindSortie(to_remove_) == nullptr) removed_.insert(to_remove_);
+}
+
+std::set<std::string> Simulation::DoneSorties() const {
+  std::set<std::string> sorties;
+  for (const auto& [job_id, name] : submitted_) {
+    const auto status = scheduler_.JobStatus(job_id);
+    if (status.has_value() && status->state() == v1::JOB_DONE) sorties.insert(name);
+  }
+  return sorties;
 }
 
 // ---- The world --------------------------------------------------------------------------------------------------------------------
@@ -237,6 +267,7 @@ void Simulation::RetryWhatEndedInPart() {
 
 bool Simulation::AllJobsEnded() const {
   return std::all_of(submitted_.begin(), submitted_.end(), [this](const auto& job) {
+    if (removed_.count(job.first) > 0) return true;
     const auto status = scheduler_.JobStatus(job.first);
     return status.has_value() && status->state() != v1::JOB_RUNNING && status->state() != v1::JOB_DONE_IN_PART;
   });
@@ -244,6 +275,10 @@ bool Simulation::AllJobsEnded() const {
 
 void Simulation::CheckOutputs() {
   for (const auto& [job_id, sortie_name] : submitted_) {
+    if (removed_.count(job_id) > 0) {
+      if (scheduler_.FindSortie(job_id) != nullptr) Complain("a removed job is there again");
+      continue;
+    }
     const v1::JobStatus status = *scheduler_.JobStatus(job_id);
     if (cancelled_.count(job_id) > 0) {
       if (status.state() == v1::JOB_FAILED) Complain("a cancelled job failed: " + status.error());
@@ -273,6 +308,7 @@ std::vector<std::string> Simulation::Run() {
   if (Chance(0.5)) submitted_["b"] = Chance(0.5) ? "leg" : "other";
   const std::string to_cancel = Chance(0.3) ? "b" : "";
   if (Chance(0.2)) poisoned_sortie_ = "leg";
+  if (Chance(0.4)) to_remove_ = Chance(0.5) ? "a" : "b";
   for (;; now_ms_ += kStepMs) {
     faults_on_ = now_ms_ < faults_end_ms;
     if (busy_until_ms_ <= now_ms_ && unseen_) Flush();  // The disk has done its work.
@@ -283,6 +319,7 @@ std::vector<std::string> Simulation::Run() {
       // When the coordinator dies before it is written down, the client sees a running job and may leave it so.
       cancelled_.insert(to_cancel);
     }
+    RemoveJobs();
     DeliverDue();
     std::vector<std::string> left;
     for (auto& [id, worker] : workers_) {
@@ -298,7 +335,8 @@ std::vector<std::string> Simulation::Run() {
       RetryWhatEndedInPart();
     }
     CoordinatorTick();
-    if (AllJobsEnded() && busy_until_ms_ <= now_ms_) break;
+    const bool is_waited_for = faults_on_ && submitted_.count(to_remove_) > 0 && !comes_back_;
+    if (AllJobsEnded() && busy_until_ms_ <= now_ms_ && !is_waited_for) break;
     if (now_ms_ > peace_end_ms) {
       Complain("the jobs do not end although the faults have");
       return violations_;

@@ -31,9 +31,10 @@ enum class ShellFault {
 // One seeded world: a scheduler, its log on "disk", workers, an artefact store and a network between them, under a virtual clock.
 //
 // While faults are on, messages are lost, doubled, delayed and overtaken; links are cut; workers crash, hang, come back, answer late or
-// twice, fail, leave, are drained; tasks need several tries, one of them more than there are; stored artefacts are damaged; the disk is
-// slow or full; the log is compacted; the coordinator is stopped for a while, and dies before or after its log is written and with any part
-// of its messages sent. Then the faults stop, and the jobs must end. Violations of safety are collected as text; the world goes on.
+// twice, fail, leave, are drained; jobs are cancelled, removed and submitted again under the same name; tasks need several tries, one of
+// them more than there are; stored artefacts are damaged; the disk is slow or full; the log is compacted; the coordinator is stopped for a
+// while, and dies before or after its log is written and with any part of its messages sent. Then the faults stop, and the jobs must end.
+// Violations of safety are collected as text; the world goes on.
 class Simulation {
  public:
   explicit Simulation(std::uint64_t seed, ShellFault shell_fault = ShellFault::kNone);
@@ -106,6 +107,8 @@ class Simulation {
   void DisturbCoordinator();
   void Disturb();
   void RetryWhatEndedInPart();
+  void RemoveJobs();
+  std::set<std::string> DoneSorties() const;
   bool AllJobsEnded() const;
   void CheckOutputs();
 
@@ -136,7 +139,10 @@ class Simulation {
 
   std::map<std::string, std::string> submitted_;  // Job -> name of its sortie.
   std::set<std::string> cancelled_;
-  std::string poisoned_sortie_;  // One window of it always fails, until it is healed.
+  std::string to_remove_;          // Its client lets go of it when it has ended.
+  std::set<std::string> removed_;  // As their clients were told.
+  bool comes_back_ = false;        // The client of a removed job submits it again.
+  std::string poisoned_sortie_;    // One window of it always fails, until it is healed.
   bool is_healed_ = false;
   std::map<std::string, SimWorker> workers_;
   std::uint32_t worker_count_ = 0;

@@ -1,7 +1,8 @@
 // Goal: no order of faults makes the scheduler lose, repeat or mix up work, and once faults stop every job ends. Method: ten thousand
 // seeded worlds (see simulation.h) with a virtual clock. Safety (see checker.h): one commit per key, of a leased or the newest attempt; no
 // attempt handed out twice, over all lives of the coordinator; one live lease a task, two when the second is written down as a hedge;
-// nothing acknowledged that is not in the log; no worker given more than its credit and memory; the outputs equal those of a run without
+// nothing acknowledged that is not in the log; no worker given more than its credit and memory, no user more than the limit; a removed job
+// stays removed, and what a finished job has is not forgotten with another; the outputs equal those of a run without
 // faults. Liveness: every job ends within half an hour of virtual time after the last fault. A failure prints its seed;
 // TREM_SIMULATION_SEED=n runs that one alone, TREM_SIMULATION_COUNT=n so many of them.
 //
@@ -56,6 +57,8 @@ TEST(SimulationTest, KeepsItsPromisesUnderEveryFault) {
                            "artefact damaged",
                            "job cancelled",
                            "job ended in part",
+                           "job removed",
+                           "job submitted again",
                            "disk slow",
                            "disk full",
                            "log compacted",
@@ -95,6 +98,9 @@ constexpr Mutant kMutants[] = {
     {"NeverGivesUp", PlantedFault::kNeverGivesUp},
     {"ForgottenRepair", PlantedFault::kForgottenRepair},
     {"ServesDraining", PlantedFault::kServesDraining},
+    {"UnloggedRemoval", PlantedFault::kUnloggedRemoval},
+    {"ForgetsOthersResults", PlantedFault::kForgetsOthersResults},
+    {"IgnoresUserLimit", PlantedFault::kIgnoresUserLimit},
     {"SendsBeforeLog", PlantedFault::kNone, ShellFault::kSendsBeforeLog},
     {"LosesTail", PlantedFault::kNone, ShellFault::kLosesTail},
 };
