@@ -38,8 +38,10 @@ bool MaySend(v1::Role role, v1::Envelope::BodyCase body) {
     case v1::Envelope::kRemoveJob:
     case v1::Envelope::kListWorkers:
     case v1::Envelope::kGetLog:
+    case v1::Envelope::kGetServiceReport:
       return asks;
     case v1::Envelope::kBackup:
+    case v1::Envelope::kListArtefacts:
     case v1::Envelope::kDrainWorker:
     case v1::Envelope::kShutdown:
       return role == v1::ADMIN;

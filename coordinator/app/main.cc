@@ -13,6 +13,7 @@
 #include <exception>
 #include <iostream>
 #include <memory>
+#include <random>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -27,6 +28,7 @@
 #include "mosaic/base/exit_code.h"
 #include "mosaic/base/file.h"
 #include "mosaic/base/log.h"
+#include "mosaic/base/wall_clock.h"
 #include "proto/channel/router_channel.h"
 
 namespace trem {
@@ -131,11 +133,6 @@ Status TieToParent(pid_t parent) {
   return {};
 }
 
-std::uint64_t WallClockMs() {
-  return static_cast<std::uint64_t>(
-      std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::system_clock::now().time_since_epoch()).count());
-}
-
 TimeMs NowMs() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
 }
@@ -192,6 +189,18 @@ v1::Envelope DataLaneAnswer(const ArtefactServer* data_lane) {
   return answer;
 }
 
+// A random name that the state folder keeps: what is in an object store is known by it.
+Result<std::string> IdOf(const std::filesystem::path& state_folder) {
+  const std::filesystem::path path = state_folder / "id";
+  std::error_code error;
+  if (!std::filesystem::exists(path, error)) {
+    std::random_device random;
+    TREM_RETURN_IF_ERROR(WriteFileAtomically(path, fmt::format("{:08x}{:08x}{:08x}\n", random(), random(), random())));
+  }
+  TREM_ASSIGN_OR_RETURN(const std::string text, ReadFile(path, 256));
+  return text.substr(0, text.find('\n'));
+}
+
 // Whether what is in the store is this coordinator's to judge. The first one to use a store leaves its state folder's name in it: another's
 // log knows nothing of what the first one's jobs have.
 bool OwnsStore(const ArtefactStore& artefacts, const std::filesystem::path& state_folder) {
@@ -236,6 +245,7 @@ class StoreKeeper {
     const auto report = collector_.TakeReport();
     if (!report) return;
     if (data_lane_ != nullptr) data_lane_->set_store_bytes(report->bytes);
+    shell->NoteStoreBytes(report->bytes);
     const bool is_over = bytes_max_ > 0 && report->bytes > bytes_max_;
     shell->RefuseJobs(is_over ? fmt::format("the artefact store holds {} of at most {} bytes; remove jobs that are not needed any more "
                                             "(trem remove), or raise --store-bytes-max",
@@ -256,6 +266,12 @@ class StoreKeeper {
   GarbageCollector collector_;
 };
 
+// With keys, whose share of the workers a job uses is not for the client to say.
+void SetUser(const std::string& user, v1::Envelope* envelope) {
+  if (envelope->has_submit_job()) envelope->mutable_submit_job()->set_user(user);
+  if (envelope->has_get_service_report()) envelope->mutable_get_service_report()->set_user(user);
+}
+
 Status Serve(const ArtefactServer* data_lane, StoreKeeper* keeper, RouterChannel* channel, Gate* gate, Shell* shell,
              Monitoring* monitoring) {
   TimeMs last_tick_ms = 0;
@@ -267,10 +283,7 @@ Status Serve(const ArtefactServer* data_lane, StoreKeeper* keeper, RouterChannel
       drained = !incoming.has_value();
       if (drained) break;
       const TimeMs arrived_ms = NowMs();
-      // With keys, whose share of the workers a job uses is not for the client to say.
-      if (incoming->envelope.ok() && incoming->envelope->has_submit_job() && !incoming->user.empty()) {
-        incoming->envelope->mutable_submit_job()->set_user(incoming->user);
-      }
+      if (incoming->envelope.ok() && !incoming->user.empty()) SetUser(incoming->user, &*incoming->envelope);
       if (const Status admitted = gate->Admit(arrived_ms, *incoming); admitted.ok() && incoming->envelope->has_get_data_lane()) {
         channel->Send(incoming->peer, DataLaneAnswer(data_lane));
       } else if (admitted.ok()) {
@@ -309,11 +322,13 @@ Status RunCoordinator(const CommandLine& options, pid_t parent) {
   if (is_elsewhere) shell_options.store_elsewhere = options.store_folder;
   const std::filesystem::path state_folder = std::filesystem::absolute(options.state_folder).lexically_normal();
   shell_options.job_log_folder = state_folder / "logs";
-  // A store elsewhere is not this process' to sweep, either.
+  TREM_ASSIGN_OR_RETURN(shell_options.state_id, IdOf(state_folder));
+  // A store elsewhere is swept from where its credentials are: `trem sweep`.
   const bool is_own = !is_elsewhere && OwnsStore(artefacts, state_folder);
   const auto keeper = is_own ? std::make_unique<StoreKeeper>(options, artefacts, data_lane.get()) : nullptr;
   shell_options.backup_folder = options.backup_folder.empty() ? state_folder / "backups" : std::filesystem::absolute(options.backup_folder);
   shell_options.wall_clock_ms = WallClockMs;
+  shell_options.store_bytes_max = options.data.store_bytes_max;
   shell_options.on_logged = [&](std::span<const v1::LogEvent> logged) { monitoring->EndCommit(logged); };
   // Bound after the log was read: until then peers see nobody and queue nothing.
   std::unique_ptr<RouterChannel> channel;

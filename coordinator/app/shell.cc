@@ -218,6 +218,10 @@ void Shell::Receive(TimeMs now_ms, const std::string& peer, const v1::Envelope& 
       return OnGetLog(peer, envelope.get_log());
     case v1::Envelope::kBackup:
       return OnBackup(peer, envelope.backup());
+    case v1::Envelope::kListArtefacts:
+      return OnListArtefacts(peer, envelope.list_artefacts());
+    case v1::Envelope::kGetServiceReport:
+      return OnGetServiceReport(now_ms, peer, envelope.get_service_report());
     case v1::Envelope::kShutdown: {
       spdlog::info("a client asked for the end");
       shutdown_requested_ = true;
@@ -246,6 +250,7 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
   }
   if (!refusal.ok()) {
     spdlog::warn("{}", refusal.message());
+    NoteRefused(now_ms, hello, refusal.message());
     return Refuse(peer, refusal);
   }
   // The connection may have belonged to another process, and the worker may have come back on another connection.
@@ -256,7 +261,7 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
   }
   const bool is_new = workers_.count(hello.worker_id()) == 0;
   if (!is_new) worker_ids_.erase(workers_.at(hello.worker_id()).peer);
-  workers_[hello.worker_id()] = {peer, now_ms};
+  workers_[hello.worker_id()] = {peer, now_ms, ClockAheadMs(hello)};
   worker_ids_[peer] = hello.worker_id();
   if (is_new) {
     LogWith(spdlog::level::info, "worker joined",
@@ -274,6 +279,12 @@ void Shell::OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hel
   event.memory_bytes_max = hello.memory_bytes_max();
   for (const v1::TaskAttempt& attempt : hello.running()) event.running.push_back(FromProto(attempt));
   Feed(now_ms, event);
+}
+
+// How far the worker's clock is ahead of this one, less the way of the message.
+std::int64_t Shell::ClockAheadMs(const v1::Hello& hello) const {
+  if (hello.clock_ms() == 0 || !options_.wall_clock_ms) return 0;
+  return static_cast<std::int64_t>(hello.clock_ms()) - static_cast<std::int64_t>(options_.wall_clock_ms());
 }
 
 v1::Envelope Shell::WelcomeEnvelope() const {
@@ -353,6 +364,7 @@ void Shell::OnListWorkers(TimeMs now_ms, const std::string& peer) {
   for (v1::WorkerStatus& status : scheduler_.WorkerStatuses()) {
     if (const auto worker = workers_.find(status.worker_id()); worker != workers_.end()) {
       status.set_last_seen_ms_ago(static_cast<std::uint64_t>(now_ms - worker->second.last_heard_ms));
+      status.set_clock_ahead_ms(worker->second.clock_ahead_ms);
     }
     *list->add_workers() = std::move(status);
   }

@@ -40,7 +40,10 @@ struct ShellOptions {
   JobLogOptions job_log;
   // Where backups of the log are written; empty: nowhere.
   std::filesystem::path backup_folder;
-  // Milliseconds since 1970, for the logs of jobs.
+  // Told to those who ask how the service does. The id belongs to the state folder; the limit is held by others. 0: none.
+  std::string state_id;
+  std::uint64_t store_bytes_max = 0;
+  // Milliseconds since 1970, for the logs of jobs and to compare clocks.
   std::function<std::uint64_t()> wall_clock_ms;
   // Jobs that one user may have running at once; more are refused. 0: no limit.
   std::uint32_t user_jobs_max = 0;
@@ -81,6 +84,8 @@ class Shell {
   std::vector<std::string> TakeReleased() { return std::exchange(released_, {}); }
   // Refuses new jobs for this reason; empty: takes them again.
   void RefuseJobs(std::string reason) { no_jobs_because_ = std::move(reason); }
+  // What the artefact store held when it was last looked at.
+  void NoteStoreBytes(std::uint64_t bytes) { store_bytes_ = bytes; }
   // The disk that holds the log is full.
   bool is_full() const { return is_full_; }
 
@@ -88,6 +93,12 @@ class Shell {
   struct Peer {
     std::string peer;  // Identity of its connection.
     TimeMs last_heard_ms = 0;
+    std::int64_t clock_ahead_ms = 0;
+  };
+  // A worker of another release that asked to join.
+  struct Refused {
+    v1::RefusedWorker worker;
+    TimeMs at_ms = 0;
   };
 
   Shell(std::unique_ptr<EventStore> events, ArtefactStore artefacts, const ShellOptions& options, SendFunction send);
@@ -104,6 +115,7 @@ class Shell {
   void Refuse(const std::string& peer, const Status& status);
 
   void OnHello(TimeMs now_ms, const std::string& peer, const v1::Hello& hello);
+  std::int64_t ClockAheadMs(const v1::Hello& hello) const;
   void OnWorkerMessage(TimeMs now_ms, const std::string& peer, const v1::Envelope& envelope);
   void OnSubmitJob(TimeMs now_ms, const std::string& peer, const v1::SubmitJob& submit);
   void OnCancelJob(TimeMs now_ms, const std::string& peer, const v1::CancelJob& cancel);
@@ -122,6 +134,9 @@ class Shell {
   void NoteDone(const std::string& worker_id, const v1::Done& done);
   void OnGetLog(const std::string& peer, const v1::GetLog& get);
   void OnBackup(const std::string& peer, const v1::Backup& backup);
+  void OnGetServiceReport(TimeMs now_ms, const std::string& peer, const v1::GetServiceReport& get);
+  void OnListArtefacts(const std::string& peer, const v1::ListArtefacts& list);
+  void NoteRefused(TimeMs now_ms, const v1::Hello& hello, const std::string& reason);
   // A line in the log of a job, or of every job that shares a task.
   void NoteJob(const std::string& job_id, v1::LogLine line);
   void NoteTask(const std::string& task_key, std::uint32_t attempt, const std::string& worker_id, const std::string& text,
@@ -144,6 +159,8 @@ class Shell {
   bool compact_next_ = false;  // However short the log is.
   std::vector<std::string> released_;
   std::string no_jobs_because_;
+  std::uint64_t store_bytes_ = 0;
+  std::map<std::string, Refused> refused_;  // By host, so that one that tries again and again leaves room for others.
 };
 
 }  // namespace trem

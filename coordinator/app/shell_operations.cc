@@ -1,15 +1,33 @@
-// The part of Shell that serves operators: logs of jobs, backups.
+// The part of Shell that serves operators: logs of jobs, backups, how the service does.
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <filesystem>
 #include <set>
+#include <system_error>
 #include <utility>
 
 #include "coordinator/app/shell.h"
 #include "mosaic/base/log.h"
+#include "mosaic/base/sweep.h"
+#include "mosaic/base/version.h"
 #include "proto/codec/sortie_paths.h"
 #include "proto/codec/upload.h"
 
 namespace trem {
+namespace {
+
+constexpr TimeMs kRefusalsKeptMs = 600'000;
+constexpr std::size_t kRefusalsKeptMax = 16;
+
+// On the disk that holds `folder`; 0 when it cannot be asked.
+std::uint64_t BytesFree(const std::filesystem::path& folder) {
+  std::error_code error;
+  const std::filesystem::space_info space = std::filesystem::space(folder, error);
+  return error ? 0 : space.available;
+}
+
+}  // namespace
 
 void Shell::NoteJob(const std::string& job_id, v1::LogLine line) {
   if (!job_log_) return;
@@ -70,6 +88,60 @@ void Shell::OnBackup(const std::string& peer, const v1::Backup& backup) {
   status->set_path(progress->path.string());
   status->set_bytes(progress->bytes);
   status->set_sha256(progress->sha256);
+  SendTo(peer, std::move(reply));
+}
+
+void Shell::NoteRefused(TimeMs now_ms, const v1::Hello& hello, const std::string& reason) {
+  std::erase_if(refused_, [&](const auto& entry) { return now_ms - entry.second.at_ms > kRefusalsKeptMs; });
+  if (refused_.size() >= kRefusalsKeptMax && refused_.count(hello.host()) == 0) {
+    refused_.erase(
+        std::min_element(refused_.begin(), refused_.end(), [](const auto& a, const auto& b) { return a.second.at_ms < b.second.at_ms; }));
+  }
+  Refused& refused = refused_[hello.host()];
+  refused.worker.set_worker_id(hello.worker_id());
+  refused.worker.set_host(hello.host());
+  refused.worker.set_reason(reason);
+  refused.at_ms = now_ms;
+}
+
+void Shell::OnGetServiceReport(TimeMs now_ms, const std::string& peer, const v1::GetServiceReport& get) {
+  v1::Envelope reply;
+  v1::ServiceReport* report = reply.mutable_service_report();
+  report->set_version(TREM_VERSION);
+  report->set_engine_revision(kEngineRevision);
+  if (options_.wall_clock_ms) report->set_clock_ms(options_.wall_clock_ms());
+  report->set_state_path(events_->path().parent_path().string());
+  report->set_state_id(options_.state_id);
+  report->set_state_bytes_free(BytesFree(events_->path().parent_path()));
+  report->set_store_path(StorePath());
+  if (options_.store_elsewhere.empty()) report->set_store_bytes_free(BytesFree(artefacts_.root()));
+  report->set_store_bytes(store_bytes_);
+  report->set_store_bytes_max(options_.store_bytes_max);
+  report->set_refuses_jobs(no_jobs_because_);
+  report->set_user_jobs(scheduler_.RunningJobCount(get.user()));
+  report->set_user_jobs_max(options_.user_jobs_max);
+  report->set_user_tasks_max(options_.scheduler.user_tasks_max);
+  for (const auto& [host, refused] : refused_) {
+    if (now_ms - refused.at_ms > kRefusalsKeptMs) continue;
+    v1::RefusedWorker* worker = report->add_refused_workers();
+    *worker = refused.worker;
+    worker->set_ms_ago(static_cast<std::uint64_t>(now_ms - refused.at_ms));
+  }
+  SendTo(peer, std::move(reply));
+}
+
+// Every page costs a look at all tasks, which is why pages are large.
+void Shell::OnListArtefacts(const std::string& peer, const v1::ListArtefacts& list) {
+  constexpr std::size_t kPageMax = 400'000;
+  Result<std::vector<std::string>> in_use = ArtefactsInUse();
+  if (!in_use.ok()) return Refuse(peer, in_use.status());
+  std::erase_if(*in_use, [&](const std::string& digest) { return digest <= list.after(); });
+  std::sort(in_use->begin(), in_use->end());
+  in_use->erase(std::unique(in_use->begin(), in_use->end()), in_use->end());
+  v1::Envelope reply;
+  reply.mutable_artefact_list()->set_is_last(in_use->size() <= kPageMax);
+  in_use->resize(std::min(in_use->size(), kPageMax));
+  reply.mutable_artefact_list()->set_digests(PackDigests(*in_use));
   SendTo(peer, std::move(reply));
 }
 

@@ -5,6 +5,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cerrno>
+#include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -19,6 +20,7 @@
 #include "coordinator/cli/operator_commands.h"
 #include "coordinator/cli/plan_command.h"
 #include "coordinator/cli/run_command.h"
+#include "coordinator/cli/sweep_command.h"
 #include "coordinator/cli/terminal.h"
 #include "mosaic/base/suggest.h"
 #include "mosaic/base/version.h"
@@ -50,6 +52,8 @@ struct Request {
   int priority = 0;
   LogsOptions logs;
   TopOptions top;
+  DoctorOptions doctor;
+  std::int64_t older_than_s = 86'400;
   std::string output;
   std::string role;
   std::string store;
@@ -214,8 +218,13 @@ void AddSubmitAndFetch(CLI::App* app, Request* request) {
 void AddDoctorCommand(CLI::App* app, Request* request) {
   CLI::App* command = AddRemoteCommand(app, request, "doctor", "Check programs, machine, keys and, where one is named, the coordinator");
   command->get_option("--coordinator")->required(false);
-  command->footer("Examples:\n  trem doctor\n  trem doctor --coordinator tcp://127.0.0.1:7411");
-  command->callback([request] { request->action = [request] { return RunDoctorCommand(request->remote); }; });
+  command->add_option("--store", request->doctor.store, "An artefact store to look at from here; default: the coordinator's, on S3");
+  command->add_option("--service", request->doctor.service, "Service folder of a Slurm installation, to look after its scaler")
+      ->envname("TREM_SERVICE");
+  command->footer(
+      "Says of everything that is wrong what to do; exit code 0 when nothing is.\n\n"
+      "Examples:\n  trem doctor\n  trem doctor --coordinator tcp://127.0.0.1:7411\n  trem doctor --store /vsis3/bucket/prefix");
+  command->callback([request] { request->action = [request] { return RunDoctorCommand(request->remote, request->doctor); }; });
 }
 
 void AddKeysCommand(CLI::App* app, Request* request) {
@@ -260,6 +269,18 @@ void AddOperatorCommands(CLI::App* app, Request* request) {
   backup->callback([request] { request->action = [request] { return RunBackupCommand(request->remote, request->job_id); }; });
 }
 
+void AddSweepCommand(CLI::App* app, Request* request) {
+  CLI::App* sweep = AddRemoteCommand(app, request, "sweep", "Remove from a coordinator's object store (/vsis3/...) what no job has");
+  sweep->add_option("--older-than-s", request->older_than_s, "What was put since stays: it may belong to a task that is not done")
+      ->check(CLI::Range(60, 31'536'000))
+      ->capture_default_str();
+  sweep->footer(
+      "Needs the store's credentials here, trem-worker beside trem, and an admin's key where keys are in use. A store that is a folder is "
+      "swept\n"
+      "by its coordinator.\n\nExamples:\n  trem sweep --coordinator tcp://127.0.0.1:7411");
+  sweep->callback([request] { request->action = [request] { return RunSweepCommand(request->remote, request->older_than_s); }; });
+}
+
 void AddJobCommands(CLI::App* app, Request* request) {
   struct JobCommand {
     const char* name;
@@ -284,6 +305,7 @@ void AddJobCommands(CLI::App* app, Request* request) {
   drain->footer("Needs an admin's key where keys are in use.\n\nExamples:\n  trem drain node-7-4711-0a1b2c3d");
   drain->callback([request] { request->action = [request] { return RunDrainCommand(request->remote, request->job_id); }; });
   AddOperatorCommands(app, request);
+  AddSweepCommand(app, request);
   CLI::App* list = AddRemoteCommand(app, request, "list", "All jobs of a coordinator");
   list->footer("Examples:\n  trem list --coordinator tcp://127.0.0.1:7411");
   list->callback([request] { request->action = [request] { return RunListCommand(request->remote); }; });

@@ -8,9 +8,13 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
 #include <fstream>
 #include <sstream>
+#include <system_error>
+
+#include "mosaic/base/file.h"
 
 namespace trem {
 namespace fs = std::filesystem;
@@ -102,6 +106,23 @@ Result<fs::path> ProgramFolder() {
   const fs::path program = fs::read_symlink("/proc/self/exe", error);
   if (error) return FromErrno("cannot read /proc/self/exe", error.value());
   return program.parent_path();
+}
+
+Result<std::string> OutputOf(const std::vector<std::string>& argv) {
+  std::string log = (fs::temp_directory_path() / "trem-output-XXXXXX").string();
+  const int fd = ::mkstemp(log.data());
+  if (fd < 0) return FromErrno("cannot make a file like " + log, errno);
+  ::close(fd);
+  const Result<pid_t> pid = StartChild(argv, log);
+  int status = -1;
+  if (pid.ok()) ::waitpid(*pid, &status, 0);
+  Result<std::string> text = ReadFile(log, 65536);
+  const std::string last = LastLines(log, 1);
+  std::error_code ignored;
+  fs::remove(log, ignored);
+  if (!pid.ok()) return pid.status();
+  if (status != 0) return Failed(last.empty() ? argv.front() + " " + DescribeExit(status) : last);
+  return text;
 }
 
 }  // namespace trem

@@ -22,6 +22,10 @@ std::string DescribeExit(int wait_status);
 // The wait status of child `pid` when it has ended (and reaps it), else nullopt.
 std::optional<int> ReapChild(pid_t pid);
 
+// Runs a short command to its end: what it prints on both outputs, the first 64 KiB. A failure is an error with the last line. Called as
+// StartChild.
+Result<std::string> OutputOf(const std::vector<std::string>& argv);
+
 // The last lines of a text file, at most `line_count` of them and 4 KiB; empty when there are none.
 std::string LastLines(const std::filesystem::path& path, int line_count);
 

@@ -13,10 +13,6 @@ namespace trem {
 namespace fs = std::filesystem;
 namespace {
 
-bool Contains(const std::vector<std::string>& sorted, const std::string& digest) {
-  return std::binary_search(sorted.begin(), sorted.end(), digest);
-}
-
 void SortUnique(std::vector<std::string>* digests) {
   std::sort(digests->begin(), digests->end());
   digests->erase(std::unique(digests->begin(), digests->end()), digests->end());
@@ -34,8 +30,8 @@ void SweepTemporaryFiles(const fs::path& folder, fs::file_time_type before) {
 
 }  // namespace
 
-Result<SweepReport> SweepStore(const ArtefactStore& store, const std::vector<std::string>& in_use, const std::vector<std::string>& released,
-                               const SweepOptions& options, const std::atomic<bool>& stop) {
+Result<SweepReport> SweepStore(const ArtefactStore& store, const SweepRule& rule, std::chrono::seconds temporary_files_stay,
+                               const std::atomic<bool>& stop) {
   const auto now = fs::file_time_type::clock::now();
   SweepReport report;
   std::error_code error;
@@ -47,8 +43,7 @@ Result<SweepReport> SweepStore(const ArtefactStore& store, const std::vector<std
     const std::uint64_t bytes = it->file_size(gone);
     const auto put_at = it->last_write_time(gone);
     if (gone) continue;
-    const auto stays = Contains(released, digest) ? options.released_objects_stay : options.new_objects_stay;
-    if (Contains(in_use, digest) || put_at + stays > now || !fs::remove(it->path(), gone)) {
+    if (!rule.MayGo(digest, std::chrono::floor<std::chrono::seconds>(now - put_at)) || !fs::remove(it->path(), gone)) {
       report.bytes += bytes;
       continue;
     }
@@ -56,7 +51,7 @@ Result<SweepReport> SweepStore(const ArtefactStore& store, const std::vector<std
     report.removed_bytes += bytes;
   }
   if (error) return FromErrno("cannot list " + (store.root() / "objects").string(), error.value());
-  SweepTemporaryFiles(store.root() / "tmp", now - options.new_objects_stay);
+  SweepTemporaryFiles(store.root() / "tmp", now - temporary_files_stay);
   return report;
 }
 
@@ -98,8 +93,8 @@ void GarbageCollector::Run() {
       wanted_.reset();
       released = released_;
     }
-    SortUnique(&in_use);
-    const Result<SweepReport> report = SweepStore(store_, in_use, released, options_, stop_);
+    const Result<SweepReport> report =
+        SweepStore(store_, SweepRule(std::move(in_use), std::move(released), options_), options_.new_objects_stay, stop_);
     if (!report.ok()) {
       if (!stop_) spdlog::warn("the artefact store was not swept: {}", report.status().message());
       continue;

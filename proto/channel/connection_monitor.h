@@ -3,6 +3,7 @@
 #include <zmq.hpp>
 
 #include "proto/channel/router_channel.h"
+#include "proto/channel/socket_events.h"
 
 namespace trem {
 
@@ -11,16 +12,12 @@ class ConnectionMonitor {
  public:
   // Watches `socket`, which must outlive this object; throws zmq::error_t. Make it before the socket is bound.
   ConnectionMonitor(zmq::context_t* context, zmq::socket_t* socket, int connections_max);
-  ~ConnectionMonitor();
-  ConnectionMonitor(const ConnectionMonitor&) = delete;
-  ConnectionMonitor& operator=(const ConnectionMonitor&) = delete;
 
   // Adds what has happened since the last call. Call often: a connection beyond the limit lives until then.
   void Take(ChannelCounters* counters);
 
  private:
-  zmq::socket_t& watched_;
-  zmq::socket_t events_;
+  SocketEvents events_;
   int connections_max_;
 };
 

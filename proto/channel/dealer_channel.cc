@@ -16,7 +16,8 @@ Result<ChannelOptions> ChannelOptionsOf(const std::filesystem::path& key, const 
   TREM_ASSIGN_OR_RETURN(options.own_key, ReadSecretKey(key));
   TREM_ASSIGN_OR_RETURN(const v1::KeyFile coordinator, ReadPublicKey(coordinator_key));
   if (coordinator.role() != v1::COORDINATOR) {
-    return InvalidInput(coordinator_key.string() + " has the role " + RoleName(coordinator.role()) + "; expected the coordinator's .pub file");
+    return InvalidInput(coordinator_key.string() + " has the role " + RoleName(coordinator.role()) +
+                        "; expected the coordinator's .pub file");
   }
   options.coordinator_public_key = coordinator.public_key();
   return options;
@@ -35,16 +36,12 @@ DealerChannel::DealerChannel(std::unique_ptr<State> state) : state_(std::move(st
 DealerChannel::~DealerChannel() = default;
 
 Result<std::unique_ptr<DealerChannel>> DealerChannel::Connect(const std::string& endpoint, const ChannelOptions& options) {
-  TREM_RETURN_IF_ERROR(CheckEndpoint(endpoint, /*wildcard_port=*/false, options.own_key.has_value()));
-  if (options.own_key && options.coordinator_public_key.empty()) {
-    return InvalidInput("a key is of use only with the coordinator's public key, by which an impostor is told from it");
-  }
+  TREM_RETURN_IF_ERROR(CheckDealer(endpoint, options));
   auto state = std::make_unique<State>();
   state->options = options;
   state->endpoint = endpoint;
   try {
     ConfigureSocket(&state->socket, endpoint, options);
-    if (options.own_key) state->socket.set(zmq::sockopt::curve_serverkey, options.coordinator_public_key);
     // Nothing is queued for a coordinator that is not there: what it would read later is out of date.
     state->socket.set(zmq::sockopt::immediate, true);
     state->socket.connect(endpoint);
@@ -68,8 +65,9 @@ Status DealerChannel::Send(const v1::Envelope& envelope, std::chrono::millisecon
     }
     const auto left = std::chrono::duration_cast<std::chrono::milliseconds>(deadline - std::chrono::steady_clock::now());
     if (left.count() <= 0) {
-      return Unavailable("no coordinator answers at " + state_->endpoint + "; start trem-coordinator there or name another endpoint" +
-                         (state_->options.own_key ? "; one that does not know this key, or has another key than the one named, is silent" : ""));
+      return Unavailable(
+          "no coordinator answers at " + state_->endpoint + "; start trem-coordinator there or name another endpoint" +
+          (state_->options.own_key ? "; one that does not know this key, or has another key than the one named, is silent" : ""));
     }
     // A wake is for Receive: it must not end the wait for a connection, and must not be lost.
     zmq::pollitem_t item{state_->socket.handle(), 0, ZMQ_POLLOUT, 0};

@@ -94,8 +94,8 @@ Status CheckEndpoint(const std::string& endpoint, bool wildcard_port, bool has_k
                     endpoint));
   }
   if (!IsHost(host, wildcard_port)) {
-    return InvalidInput(fmt::format("endpoint '{}' has the host '{}'; expected a name, an address{} or an IPv6 address in brackets", endpoint,
-                                    host, wildcard_port ? ", *" : ""));
+    return InvalidInput(fmt::format("endpoint '{}' has the host '{}'; expected a name, an address{} or an IPv6 address in brackets",
+                                    endpoint, host, wildcard_port ? ", *" : ""));
   }
   if (wildcard_port && port == "*") return {};
   if (!IsNumber(port, 65535) || port == "0") {
@@ -103,6 +103,12 @@ Status CheckEndpoint(const std::string& endpoint, bool wildcard_port, bool has_k
         fmt::format("endpoint '{}' has the port '{}'; expected a number from 1 to 65535{}", endpoint, port, wildcard_port ? " or *" : ""));
   }
   return {};
+}
+
+Status CheckDealer(const std::string& endpoint, const ChannelOptions& options) {
+  TREM_RETURN_IF_ERROR(CheckEndpoint(endpoint, /*wildcard_port=*/false, options.own_key.has_value()));
+  if (!options.own_key || !options.coordinator_public_key.empty()) return {};
+  return InvalidInput("a key is of use only with the coordinator's public key, by which an impostor is told from it");
 }
 
 void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const ChannelOptions& options) {
@@ -121,6 +127,7 @@ void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const C
   if (options.own_key) {
     socket->set(zmq::sockopt::curve_publickey, options.own_key->public_key());
     socket->set(zmq::sockopt::curve_secretkey, options.own_key->secret_key());
+    if (!options.coordinator_public_key.empty()) socket->set(zmq::sockopt::curve_serverkey, options.coordinator_public_key);
   }
   // A peer that sends a larger frame is disconnected by libzmq before the frame is allocated.
   socket->set(zmq::sockopt::maxmsgsize, static_cast<std::int64_t>(options.limits.body_bytes_max));

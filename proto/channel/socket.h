@@ -17,6 +17,9 @@ namespace trem {
 // [IPv6 address], where * is all of this machine's if `wildcard_port`; otherwise kInvalidInput, with the reason.
 Status CheckEndpoint(const std::string& endpoint, bool wildcard_port, bool has_keys);
 
+// CheckEndpoint for an end that connects; with keys it has to know the other's, too.
+Status CheckDealer(const std::string& endpoint, const ChannelOptions& options);
+
 // Sets the options that every socket of ours has; throws zmq::error_t.
 void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const ChannelOptions& options);
 

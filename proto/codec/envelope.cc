@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <google/protobuf/io/coded_stream.h>
+#include <google/protobuf/stubs/logging.h>
 
 #include <algorithm>
 #include <limits>
@@ -33,6 +34,13 @@ Status CheckHeader(std::string_view header) {
   return {};
 }
 
+// Protobuf would tell stderr of every message with a text that is no UTF-8: whoever sends garbage could fill the log with it. That it was
+// garbage is in the Status.
+void SilenceProtobuf() {
+  static const auto before = google::protobuf::SetLogHandler(nullptr);
+  (void)before;
+}
+
 }  // namespace
 
 EnvelopeFrames EncodeEnvelope(const v1::Envelope& envelope) {
@@ -47,6 +55,7 @@ EnvelopeFrames EncodeEnvelope(const v1::Envelope& envelope) {
 }
 
 Result<v1::Envelope> DecodeEnvelope(std::string_view header, std::string_view body, const EnvelopeLimits& limits) {
+  SilenceProtobuf();
   TREM_RETURN_IF_ERROR(CheckHeader(header));
   const std::size_t bytes_max = std::min<std::size_t>(limits.body_bytes_max, std::numeric_limits<int>::max());
   if (body.size() > bytes_max) return Corrupt(fmt::format("a message of {} bytes; at most {} are accepted", body.size(), bytes_max));

@@ -82,6 +82,7 @@ Status Validate(const v1::StageStatus& stage);
 Status Validate(const v1::JobStatus& job);
 Status Validate(const v1::WorkerStatus& worker);
 Status Validate(const v1::LogLine& line);
+Status Validate(const v1::RefusedWorker& worker);
 
 template <typename Messages>
 Status ValidateAll(const Messages& messages) {
@@ -219,11 +220,14 @@ Status Validate(const v1::PutChunk& put) {
   return CheckChunk(put.data(), put.data_sha256());
 }
 
+Status CheckUser(const std::string& user) {
+  if (user.empty() || IsId(user, kIdLengthMaxJob)) return {};
+  return Bad("user", fmt::format("'{}'", user.substr(0, kIdLengthMaxJob)), "at most 64 of a-z, 0-9 and '-'");
+}
+
 Status Validate(const v1::SubmitJob& submit) {
   TREM_RETURN_IF_ERROR(CheckJobId(submit.job_id()));
-  if (!submit.user().empty() && !IsId(submit.user(), kIdLengthMaxJob)) {
-    return Bad("user", fmt::format("'{}'", submit.user().substr(0, kIdLengthMaxJob)), "at most 64 of a-z, 0-9 and '-'");
-  }
+  TREM_RETURN_IF_ERROR(CheckUser(submit.user()));
   TREM_RETURN_IF_ERROR(CheckRange("priority", submit.priority(), -10, 10));
   return submit.has_sortie() ? Status() : Bad("sortie", "missing", "the job's spec");
 }
@@ -258,6 +262,35 @@ Status Validate(const v1::WorkerStatus& worker) {
     TREM_RETURN_IF_ERROR(CheckRange("fraction", task.fraction(), 0.0, 1.0));
   }
   return ValidateRunning(worker.running());
+}
+
+Status Validate(const v1::RefusedWorker& worker) {
+  TREM_RETURN_IF_ERROR(CheckWorkerId(worker.worker_id()));
+  TREM_RETURN_IF_ERROR(CheckText("host", worker.host(), kWordBytesMax));
+  return CheckText("reason", worker.reason(), kTextBytesMax);
+}
+
+Status Validate(const v1::ServiceReport& report) {
+  constexpr int kRefusedWorkersMax = 64;
+  for (const std::string* word : {&report.version(), &report.engine_revision(), &report.state_id()}) {
+    TREM_RETURN_IF_ERROR(CheckText("version", *word, kWordBytesMax));
+  }
+  for (const std::string* text : {&report.state_path(), &report.store_path(), &report.refuses_jobs()}) {
+    TREM_RETURN_IF_ERROR(CheckText("text of a report", *text, kTextBytesMax));
+  }
+  if (report.refused_workers_size() > kRefusedWorkersMax) {
+    return Bad("refused_workers", fmt::format("{} entries", report.refused_workers_size()), fmt::format("at most {}", kRefusedWorkersMax));
+  }
+  return ValidateAll(report.refused_workers());
+}
+
+Status Validate(const v1::ArtefactList& list) {
+  constexpr std::size_t kDigestBytes = 32;
+  constexpr std::size_t kDigestsBytesMax = kDigestBytes << 19;
+  const std::size_t bytes = list.digests().size();
+  return bytes % kDigestBytes == 0 && bytes <= kDigestsBytesMax
+             ? Status()
+             : Bad("digests", fmt::format("{} bytes long", bytes), fmt::format("a multiple of 32, at most {}", kDigestsBytesMax));
 }
 
 Status Validate(const v1::ErrorReply& error) {
@@ -315,6 +348,14 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return ValidateAll(envelope.worker_list().workers());
     case v1::Envelope::kError:
       return Validate(envelope.error());
+    case v1::Envelope::kGetServiceReport:
+      return CheckUser(envelope.get_service_report().user());
+    case v1::Envelope::kListArtefacts:
+      return envelope.list_artefacts().after().empty() ? Status() : CheckDigest("after", envelope.list_artefacts().after());
+    case v1::Envelope::kArtefactList:
+      return Validate(envelope.artefact_list());
+    case v1::Envelope::kServiceReport:
+      return Validate(envelope.service_report());
     case v1::Envelope::kDataLane:
       return CheckText("endpoint", envelope.data_lane().endpoint(), kTextBytesMax);
     case v1::Envelope::kGetChunk:

@@ -66,6 +66,19 @@ start_worker whole 3
 cmp "$work/median.tif" "$work/s3-median.tif"
 say "every larger object was damaged: made anew, mosaic byte-identical"
 
+# What only removed jobs had leaves the bucket, and nothing else does: the job that stays is fetched again.
+find "$work/buckets/store" -type f -exec touch -d '2 hours ago' {} +
+"$bin/trem" doctor --json | python3 -c '
+import json, sys
+found = [finding for finding in json.load(sys.stdin) if finding["subject"] == "object store"]
+sys.exit(0 if found and found[0]["good"] else "trem doctor finds fault: %s" % found)'
+before=$(objects)
+"$bin/trem" remove from-s3
+say "after the removal of a job: $("$bin/trem" sweep --older-than-s 3600)"
+[ "$(objects)" -lt "$before" ]
+"$bin/trem" fetch damaged -o "$work/swept.tif" --quiet
+cmp "$work/median.tif" "$work/swept.tif"
+
 port=$(free_port)
 start_server "$port" strict
 export AWS_S3_ENDPOINT=127.0.0.1:$port AWS_SECRET_ACCESS_KEY=not-the-secret
@@ -75,6 +88,8 @@ if timeout 60 "$bin/trem-worker" serve --coordinator "$TREM_COORDINATOR" --store
   exit 1
 fi
 say "a store with a wrong secret: $(tail -1 "$work/no-store.txt")"
+"$bin/trem" doctor --json >"$work/doctor.txt" && { say "the doctor finds nothing wrong with it"; exit 1; }
+grep -q 'signature.*credentials' "$work/doctor.txt"
 grep -q 'signature.*credentials' "$work/no-store.txt"
 # Artefacts streamed, input in the bucket.
 start refused-streaming "$bin/trem-coordinator" --state "$work/streaming-state" --store "$work/streaming-store" --bind 'tcp://127.0.0.1:*' \

@@ -192,24 +192,6 @@ TEST_F(RemoteTest, RemovesAJobAndWhatOnlyItHad) {
   EXPECT_EQ(nlohmann::json::parse(Trem({"status", "kept", "--json"}).stdout_text)["state"], "done");
 }
 
-TEST_F(RemoteTest, TheDoctorFindsACoordinatorAndItsAbsence) {
-  const Completed well = Trem({"doctor", "--json"});
-  const auto findings = nlohmann::json::parse(well.stdout_text);
-  const auto find = [&](const std::string& subject) {
-    for (const auto& finding : findings) {
-      if (finding["subject"] == subject) return finding;
-    }
-    return nlohmann::json();
-  };
-  EXPECT_EQ(find("coordinator")["good"], true) << well.stdout_text;
-  EXPECT_EQ(find("data lane")["good"], true);
-  EXPECT_EQ(find("trem-worker")["good"], true);
-  endpoint_ = "tcp://127.0.0.1:1";
-  const Completed ill = Trem({"doctor"});
-  EXPECT_EQ(ill.exit_code, 1);
-  EXPECT_THAT(ill.stdout_text, HasSubstr("CHECK coordinator"));
-}
-
 TEST_F(RemoteTest, CancelsAJob) {
   const fs::path sortie = fixture_.SimulateSortie("sortie", 3);
   ASSERT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1"}).exit_code, 0);

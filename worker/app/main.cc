@@ -15,6 +15,7 @@
 #include "worker/app/inspect_command.h"
 #include "worker/app/serve_command.h"
 #include "worker/app/simulate_command.h"
+#include "worker/app/store_commands.h"
 
 namespace trem {
 namespace {
@@ -30,6 +31,8 @@ constexpr Command kCommands[] = {
     {"inspect", "say what a sortie holds", RunInspectCommand},
     {"enhance", "enhance one region of the sensor", RunEnhanceCommand},
     {"get-artefact", "copy an artefact from an object store", RunGetArtefactCommand},
+    {"check-store", "see whether an object store can be used from here", RunCheckStoreCommand},
+    {"sweep-store", "remove from an object store what no job has", RunSweepStoreCommand},
     {"simulate", "render a sortie with known truth", RunSimulateCommand},
 };
 

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "mosaic/base/log.h"
+#include "mosaic/base/wall_clock.h"
 #include "proto/codec/envelope.h"
 #include "worker/app/done_message.h"
 
@@ -272,6 +273,7 @@ class WorkerLoop {
     hello->set_engine_revision(options_.engine_revision);
     hello->set_credit(drain_deadline_ ? 0 : 1);
     hello->set_memory_bytes_max(options_.memory_bytes_max);
+    hello->set_clock_ms(WallClockMs());
     if (running_) *hello->add_running() = *running_;
     for (const v1::Dispatch& dispatch : queued_) *hello->add_running() = AttemptOf(dispatch);
     for (const PendingDone& done : unacknowledged_) *hello->add_running() = done.attempt();

@@ -26,13 +26,26 @@ v1::Envelope Heartbeat() {
 TEST(GateTest, EveryRoleMaySayWhatItShouldAndNothingElse) {
   // Client, worker, admin.
   const std::map<std::string, std::string> expected = {
-      {"hello", "-w-"},      {"progress", "-w-"},  {"done", "-w-"},         {"goodbye", "-w-"},    {"heartbeat", "cwa"},
-      {"submit_job", "c-a"}, {"get_job", "c-a"},   {"list_jobs", "c-a"},    {"cancel_job", "c-a"}, {"list_workers", "c-a"},
-      {"shutdown", "--a"},   {"welcome", "---"},   {"dispatch", "---"},     {"ack", "---"},        {"cancel_task", "---"},
-      {"job_status", "---"}, {"job_list", "---"},  {"worker_list", "---"},  {"error", "---"},      {"bye", "---"},
-      {"remove_job", "c-a"}, {"retry_job", "c-a"}, {"drain_worker", "--a"}, {"drain", "---"},      {"get_data_lane", "cwa"},
-      {"data_lane", "---"},  {"get_chunk", "cwa"}, {"chunk", "---"},        {"put_chunk", "cwa"},  {"put_reply", "---"},
-      {"task_log", "-w-"},   {"get_log", "c-a"},   {"log_page", "---"},     {"backup", "--a"},     {"backup_status", "---"},
+      {"hello", "-w-"},          {"progress", "-w-"},
+      {"done", "-w-"},           {"goodbye", "-w-"},
+      {"heartbeat", "cwa"},      {"submit_job", "c-a"},
+      {"get_job", "c-a"},        {"list_jobs", "c-a"},
+      {"cancel_job", "c-a"},     {"list_workers", "c-a"},
+      {"shutdown", "--a"},       {"welcome", "---"},
+      {"dispatch", "---"},       {"ack", "---"},
+      {"cancel_task", "---"},    {"job_status", "---"},
+      {"job_list", "---"},       {"worker_list", "---"},
+      {"error", "---"},          {"bye", "---"},
+      {"remove_job", "c-a"},     {"retry_job", "c-a"},
+      {"drain_worker", "--a"},   {"drain", "---"},
+      {"get_data_lane", "cwa"},  {"data_lane", "---"},
+      {"get_chunk", "cwa"},      {"chunk", "---"},
+      {"put_chunk", "cwa"},      {"put_reply", "---"},
+      {"task_log", "-w-"},       {"get_log", "c-a"},
+      {"log_page", "---"},       {"backup", "--a"},
+      {"backup_status", "---"},  {"list_artefacts", "--a"},
+      {"artefact_list", "---"},  {"get_service_report", "c-a"},
+      {"service_report", "---"},
   };
   const auto* body = v1::Envelope::descriptor()->FindOneofByName("body");
   for (int i = 0; i < body->field_count(); ++i) {

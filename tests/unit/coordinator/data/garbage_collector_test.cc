@@ -3,7 +3,6 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <filesystem>
 
 #include "tests/support/paths.h"
@@ -28,9 +27,8 @@ class GarbageCollectorTest : public ::testing::Test {
     return store_.Find(digest, &bytes).ok();
   }
   SweepReport Sweep(std::vector<std::string> in_use, std::vector<std::string> released) {
-    std::sort(in_use.begin(), in_use.end());
-    std::sort(released.begin(), released.end());
-    return SweepStore(store_, in_use, released, {}, false).value();
+    const SweepOptions options;
+    return SweepStore(store_, SweepRule(std::move(in_use), std::move(released), options), options.new_objects_stay, false).value();
   }
 
   testing::TempDir folder_;

@@ -77,6 +77,18 @@ v1::Envelope SomeBackup() {
   return envelope;
 }
 
+v1::Envelope SomeReport() {
+  v1::Envelope envelope;
+  envelope.mutable_service_report()->add_refused_workers()->set_worker_id("w-1");
+  return envelope;
+}
+
+v1::Envelope SomeArtefacts() {
+  v1::Envelope envelope;
+  envelope.mutable_artefact_list()->set_digests(std::string(64, 'x'));
+  return envelope;
+}
+
 v1::Envelope SomeJobStatus() {
   v1::Envelope envelope;
   envelope.mutable_job_status()->set_job_id("job-1");
@@ -142,6 +154,16 @@ TEST(Envelope, RefusesTruncatedAndUnknownBodies) {
   EXPECT_THAT(DecodeError(frames), HasSubstr("corrupt"));
 }
 
+// A message a millisecond of these must not be a line a millisecond in the coordinator's log.
+TEST(Envelope, RefusesTextsThatAreNotUtf8WithoutAWordOnStderr) {
+  const EnvelopeFrames frames = EncodeEnvelope(SomeGetLog());
+  std::string body = frames.body;
+  body[body.find("job")] = '\xff';
+  ::testing::internal::CaptureStderr();
+  EXPECT_THAT(DecodeError({frames.header, body}), HasSubstr("not a trem.v1.Envelope"));
+  EXPECT_EQ(::testing::internal::GetCapturedStderr(), "");
+}
+
 TEST(Envelope, RefusesValuesOutOfRangeAndNamesThem) {
   struct Case {
     v1::Envelope envelope;
@@ -183,6 +205,16 @@ TEST(Envelope, RefusesValuesOutOfRangeAndNamesThem) {
        "task_log: lines is 301 lines"},
       {SomeGetLog(), [](auto* e) { e->mutable_get_log()->set_job_id("../x"); }, "get_log: job_id is '../x'"},
       {SomeBackup(), [](auto* e) { e->mutable_backup()->set_backup_id("../x"); }, "backup: backup_id is malformed"},
+      {SomeReport(), [](auto* e) { e->mutable_service_report()->mutable_refused_workers(0)->set_worker_id("../x"); },
+       "service_report: worker_id is '../x'"},
+      {SomeReport(), [](auto* e) { e->mutable_service_report()->set_version(std::string(300, 'x')); },
+       "service_report: version is 300 bytes"},
+      {SomeReport(),
+       [](auto* e) {
+         for (int i = 0; i < 64; ++i) e->mutable_service_report()->add_refused_workers()->set_worker_id("w");
+       },
+       "service_report: refused_workers is 65 entries"},
+      {SomeArtefacts(), [](auto* e) { e->mutable_artefact_list()->set_digests("abc"); }, "artefact_list: digests is 3 bytes long"},
       {SomeJobStatus(), [](auto* e) { e->mutable_job_status()->set_eta_high_s(std::numeric_limits<double>::infinity()); },
        "job_status: eta_high_s is inf"},
       {SomeJobStatus(), [](auto* e) { e->mutable_job_status()->set_eta_s(std::numeric_limits<double>::infinity()); },
