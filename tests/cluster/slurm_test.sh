@@ -102,13 +102,13 @@ TREM_SBATCH_OPTIONS="--mem=1000" start scaler "$deploy/scaler.sh" 1 4 2
 workers() { "$bin/trem" workers --json | python3 -c 'import json, sys; print(len(json.load(sys.stdin)))'; }
 workers_are() { [ "$(workers)" "$1" "$2" ]; }
 wait_for 60 "one worker" workers_are -eq 1
-job=$("$bin/trem" submit "$work/sortie/sortie.textproto" "${settings[@]}")
-wait_for 90 "three workers" workers_are -ge 3
 "$bin/trem" doctor --json | python3 -c '
 import json, sys
 for finding in json.load(sys.stdin):
     if finding["subject"] in ("connection", "Slurm scaler", "data lane", "workers") and not finding["good"]:
         sys.exit("trem doctor finds fault: %s" % finding)'
+job=$("$bin/trem" submit "$work/sortie/sortie.textproto" "${settings[@]}")
+wait_for 90 "three workers" workers_are -ge 3
 say "idle, the scaler kept 1 worker; with a job it brought $(workers): $(squeue --noheader --format '%j %T %N' | sort | uniq -c | xargs)"
 
 # ---- A node dies --------------------------------------------------------------------------------------------------------------------

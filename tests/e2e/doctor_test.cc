@@ -15,7 +15,7 @@
 #include "mosaic/base/wall_clock.h"
 #include "proto/channel/dealer_channel.h"
 #include "proto/channel/router_channel.h"
-#include "tests/e2e/run_fixture.h"
+#include "tests/e2e/service_fixture.h"
 
 namespace trem::testing {
 namespace {
@@ -23,31 +23,8 @@ namespace {
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-class DoctorTest : public ::testing::Test {
+class DoctorTest : public ServiceTest {
  protected:
-  void Start(const std::vector<std::string>& more = {}) {
-    std::vector<std::string> argv = {BinaryPath("trem-coordinator").string(),
-                                     "--state",
-                                     (fixture_.folder() / "state").string(),
-                                     "--store",
-                                     store_.string(),
-                                     "--bind",
-                                     "tcp://127.0.0.1:*",
-                                     "--ready-file",
-                                     ready_.string()};
-    argv.insert(argv.end(), more.begin(), more.end());
-    coordinator_ = std::make_unique<Subprocess>(argv, fixture_.Options());
-    for (int i = 0; i < 3000 && !fs::exists(ready_); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    ASSERT_TRUE(fs::exists(ready_)) << coordinator_->Stderr();
-    endpoint_ = Lines(FileContents(ready_)).at(0);
-  }
-  Completed Trem(std::vector<std::string> arguments, const std::vector<std::string>& environment = {}) const {
-    arguments.insert(arguments.begin(), BinaryPath("trem").string());
-    SubprocessOptions options = fixture_.Options();
-    options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
-    options.environment.insert(options.environment.end(), environment.begin(), environment.end());
-    return RunProgram(arguments, std::chrono::minutes(5), options);
-  }
   // What the doctor says; its exit code must say whether all is well.
   nlohmann::json Findings(std::vector<std::string> more = {}, const std::vector<std::string>& environment = {}) const {
     more.insert(more.begin(), {"doctor", "--json"});
@@ -80,11 +57,6 @@ class DoctorTest : public ::testing::Test {
     EXPECT_THAT(found["text"].get<std::string>(), HasSubstr(text));
     EXPECT_THAT(found["advice"].get<std::string>(), HasSubstr(advice));
   }
-  std::unique_ptr<Subprocess> Worker(const std::vector<std::string>& more = {}) const {
-    std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()};
-    argv.insert(argv.end(), more.begin(), more.end());
-    return std::make_unique<Subprocess>(argv, fixture_.Options());
-  }
   // The id of the one worker, once it is there.
   std::string WorkerId() const {
     for (int i = 0; i < 300; ++i) {
@@ -95,17 +67,6 @@ class DoctorTest : public ::testing::Test {
     ADD_FAILURE() << "no worker came";
     return "";
   }
-  void Submit(const std::string& job_id) {
-    const fs::path sortie = fixture_.SimulateSortie("sortie-" + job_id, 3);
-    const Completed submit = Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", job_id});
-    ASSERT_EQ(submit.exit_code, 0) << submit.stderr_text;
-  }
-
-  RunFixture fixture_;
-  fs::path ready_ = fixture_.folder() / "ready";
-  fs::path store_ = fixture_.folder() / "store";
-  std::unique_ptr<Subprocess> coordinator_;
-  std::string endpoint_;
 };
 
 TEST_F(DoctorTest, FindsAServiceThatIsWell) {
@@ -156,7 +117,7 @@ TEST_F(DoctorTest, TellsKeysApart) {
 
 TEST_F(DoctorTest, TellsOfAFleetThatIsNotThereOrTakesNothing) {
   Start({"--heartbeat-ms", "5000"});  // A worker that is stopped stays in the list for 40 s.
-  Submit("town");
+  Submit("town", 3);
   ExpectBad(Findings(), "workers", "none is connected, and jobs wait", "trem-worker serve");
   // Its limit holds no task, so that it takes none.
   const auto worker = Worker({"--memory-max-bytes", "100000000"});
@@ -191,7 +152,7 @@ TEST_F(DoctorTest, TellsOfWorkersOfAnotherReleaseAndOtherClocks) {
 
 TEST_F(DoctorTest, TellsOfQuotas) {
   Start({"--store-bytes-max", "10", "--user-jobs-max", "1"});
-  Submit("town");
+  Submit("town", 3);
   const auto findings = Findings();
   ExpectBad(findings, "data lane", "an upload to", "trem remove");
   ExpectBad(findings, "user quota", "1 job of yours running, at most 1 allowed", "--user-jobs-max");

@@ -8,34 +8,20 @@
 #include <nlohmann/json.hpp>
 #include <thread>
 
-#include "tests/e2e/run_fixture.h"
+#include "tests/e2e/service_fixture.h"
 
 namespace trem::testing {
 namespace {
 
-namespace fs = std::filesystem;
 using ::testing::HasSubstr;
 
-class WorkerLimitsTest : public ::testing::Test {
+class WorkerLimitsTest : public ServiceTest {
  protected:
   void SetUp() override {
-    for (int i = 0; i < 3000 && !fs::exists(ready_); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    ASSERT_TRUE(fs::exists(ready_)) << coordinator_.Stderr();
-    endpoint_ = Lines(FileContents(ready_)).at(0);
-    const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
-    ASSERT_EQ(Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town"}).exit_code, 0);
+    Start();
+    Submit("town", 16);
   }
-  Completed Trem(std::vector<std::string> arguments) const {
-    arguments.insert(arguments.begin(), BinaryPath("trem").string());
-    SubprocessOptions options = fixture_.Options();
-    options.environment.push_back("TREM_COORDINATOR=" + endpoint_);
-    return RunProgram(arguments, std::chrono::minutes(10), options);
-  }
-  void StartWorker(const std::vector<std::string>& more) {
-    std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_, "--store", store_.string()};
-    argv.insert(argv.end(), more.begin(), more.end());
-    worker_ = std::make_unique<Subprocess>(argv, fixture_.Options());
-  }
+  void StartWorker(const std::vector<std::string>& more) { worker_ = Worker(more); }
   // The worker's compute process, once it has been given a task.
   pid_t ComputeProcess() const {
     for (int i = 0; i < 6000; ++i) {
@@ -59,13 +45,6 @@ class WorkerLimitsTest : public ::testing::Test {
     EXPECT_EQ(nlohmann::json::parse(Trem({"workers", "--json"}).stdout_text).size(), 1U);
   }
 
-  RunFixture fixture_;
-  fs::path ready_ = fixture_.folder() / "ready";
-  fs::path store_ = fixture_.folder() / "store";
-  Subprocess coordinator_{{BinaryPath("trem-coordinator").string(), "--state", (fixture_.folder() / "state").string(), "--store",
-                           store_.string(), "--bind", "tcp://127.0.0.1:*", "--ready-file", ready_.string()},
-                          fixture_.Options()};
-  std::string endpoint_;
   std::unique_ptr<Subprocess> worker_;
 };
 
