@@ -115,9 +115,11 @@ void CompletePsf(v1::Sensor* sensor, RangeChecker* check) {
   }
   check->Path("sensor.psf_kernel_path", sensor->psf_kernel_path());
   if (sensor->psf_model() == v1::KERNEL_FILE) {
-    if (sensor->psf_kernel_path().empty()) check->Refuse("sensor.psf_kernel_path", "missing", "a file with the kernel, because psf_model is KERNEL_FILE");
+    if (sensor->psf_kernel_path().empty())
+      check->Refuse("sensor.psf_kernel_path", "missing", "a file with the kernel, because psf_model is KERNEL_FILE");
     if (sensor->psf_sigma_px() != 0.0) {
-      check->Refuse("sensor.psf_sigma_px", fmt::format("{}", sensor->psf_sigma_px()), "nothing beside KERNEL_FILE: the kernel holds the whole blur");
+      check->Refuse("sensor.psf_sigma_px", fmt::format("{}", sensor->psf_sigma_px()),
+                    "nothing beside KERNEL_FILE: the kernel holds the whole blur");
     }
   } else if (!sensor->psf_kernel_path().empty()) {
     check->Refuse("sensor.psf_kernel_path", "set", "nothing unless psf_model is KERNEL_FILE or left out");
@@ -148,6 +150,7 @@ void CompleteSensor(v1::Sensor* sensor, RangeChecker* check) {
   check->Path("sensor.mask_path", sensor->mask_path());
   if (sensor->has_saturation_level()) check->Number("sensor.saturation_level", sensor->saturation_level(), -1e30, 1e30);
   check->Enum("sensor.detector_bias", sensor->detector_bias(), v1::Correction_IsValid(sensor->detector_bias()));
+  check->Enum("sensor.vignetting", sensor->vignetting(), v1::Correction_IsValid(sensor->vignetting()));
 }
 
 void CompleteTre(v1::Tre* tre, RangeChecker* check) {

@@ -16,6 +16,7 @@
 #include "worker/app/published_scene.h"
 #include "worker/sensor/bicubic.h"
 #include "worker/sortie/frame_reader.h"
+#include "worker/sortie/vignetting.h"
 
 namespace trem {
 namespace {
@@ -213,7 +214,8 @@ Result<EnhanceSummary> PublishEnhancedScene(const EnhancedWindow& enhanced, std:
   TREM_ASSIGN_OR_RETURN(const SceneRaster scene, ReadSceneRaster(stored, kScenePixelsMax));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(*enhanced.manifest));
   const int index = static_cast<int>(choice.reference->frame_index());
-  TREM_ASSIGN_OR_RETURN(const Image<float> frame, reader->Read(index));
+  TREM_ASSIGN_OR_RETURN(Image<float> frame, reader->Read(index));
+  Brighten(BrighteningOf(enhanced.manifest->sensor(), frame.width(), frame.height()), &frame);
 
   const GreyScale grey{enhanced.manifest->grey_offset(), enhanced.manifest->grey_scale()};
   const Comparison comparison = Compare(enhanced, choice, scene, grey, frame);

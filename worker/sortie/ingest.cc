@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
+#include <limits>
 #include <memory>
 #include <opencv2/core/utility.hpp>
 #include <optional>
@@ -20,6 +21,7 @@
 #include "worker/sortie/pixel_mask.h"
 #include "worker/sortie/spans.h"
 #include "worker/sortie/telemetry_attach.h"
+#include "worker/sortie/vignetting.h"
 
 namespace trem {
 namespace {
@@ -31,6 +33,8 @@ constexpr double kBlankSpan = 2.0;           // Grey levels of an 8-bit source.
 // More saturated pixels than this are worth a note.
 constexpr double kSaturatedPartNoted = 0.01;
 constexpr std::size_t kFingerprintsMax = 16;
+// Of the saturation level: a mean over pixels below it holds no saturated one that matters.
+constexpr double kUnsaturatedPart = 0.97;
 
 double Median(std::vector<double> values) {
   if (values.empty()) return 0.0;
@@ -53,6 +57,7 @@ class Ingest {
     TREM_RETURN_IF_ERROR(ReadFrames());
     LinkWaitingFrames();
     FinishPixels();
+    FinishVignetting();
     TREM_RETURN_IF_ERROR(CheckSeeking());
     for (const v1::Note& note : source_->notes()) *manifest_.add_notes() = note;
     TREM_RETURN_IF_ERROR(AttachFoundTelemetry(telemetry, sortie_, &manifest_));
@@ -155,15 +160,51 @@ class Ingest {
   }
 
   void LinkWaitingFrames() {
-    if (!motion_.has_value()) motion_.emplace(source_->width_px(), source_->height_px(), borders_->Find().valid_roi);
+    if (!motion_.has_value()) {
+      const Roi valid_roi = borders_->Find().valid_roi;
+      motion_.emplace(source_->width_px(), source_->height_px(), valid_roi);
+      const double level_max = SaturationLevel().value_or(std::numeric_limits<double>::infinity());
+      if (LooksForVignetting()) vignetting_.emplace(source_->width_px(), source_->height_px(), valid_roi, kUnsaturatedPart * level_max);
+    }
     for (const WaitingFrame& frame : waiting_) {
       const std::optional<MotionLink> link = motion_->Link(frame.reduced);
+      if (vignetting_.has_value())
+        vignetting_->Add(frame.reduced, link.has_value() ? std::optional<Affine>(link->previous_from_current) : std::nullopt);
       if (!link.has_value()) continue;
       v1::ManifestFrame* entry = manifest_.mutable_frames(frame.index);
       ToProto(link->previous_from_current, entry->mutable_previous_from_current());
       entry->set_motion_correlation(link->correlation);
     }
     waiting_.clear();
+  }
+
+  // Levels of a factor on the light have a zero: those of integer sources, or of others on request.
+  bool LooksForVignetting() const {
+    const v1::Correction asked = sortie_.sensor().vignetting();
+    return asked == v1::CORRECTION_ON || (asked == v1::CORRECTION_AUTO && grey_max_ > 0.0);
+  }
+
+  void FinishVignetting() {
+    if (!vignetting_.has_value()) return;
+    const bool asked = sortie_.sensor().vignetting() == v1::CORRECTION_ON;
+    const std::optional<VignettingEstimate> found = vignetting_->Find();
+    if (!found.has_value() || !(asked || found->Seen())) {
+      if (asked) {
+        Note(v1::WARNING, "vignetting_unknown", sortie_.source().path(),
+             "vignetting cannot be estimated: too few frames show the same ground at different places of the image");
+      }
+      return;
+    }
+    v1::VignettingMessage* vignetting = manifest_.mutable_sensor()->mutable_vignetting();
+    vignetting->set_second(found->vignetting.second);
+    vignetting->set_fourth(found->vignetting.fourth);
+    vignetting->set_corner_error(found->corner_error);
+    const double corner = found->vignetting.Corner();
+    Note(v1::INFO, "vignetting", sortie_.source().path(),
+         fmt::format("the corners of the image are {:.1f} +- {:.2f} % {} than its centre, as {} pairs of frames of the same ground show; "
+                     "every frame is divided by that",
+                     100.0 * std::abs(1.0 - corner), 100.0 * corner * found->corner_error, corner < 1.0 ? "darker" : "brighter",
+                     found->pair_count));
   }
 
   // Grey level from which a pixel is saturated; nothing for floating point without sensor.saturation_level.
@@ -263,6 +304,7 @@ class Ingest {
   std::vector<double> noise_sigmas_;
   std::deque<WaitingFrame> waiting_;
   std::optional<FrameMotion> motion_;
+  std::optional<VignettingFinder> vignetting_;
   int usable_count_ = 0;
   double grey_max_ = 0.0;
   std::uint64_t last_fingerprint_ = 0;

@@ -9,6 +9,7 @@
 #include "mosaic/raster/scene_raster.h"
 #include "proto/codec/convert.h"
 #include "worker/sortie/frame_reader.h"
+#include "worker/sortie/vignetting.h"
 #include "worker/tasks/target_frames.h"
 
 namespace trem {
@@ -129,11 +130,14 @@ Status FrameMosaic::Read(const MosaicGrid& grid, const std::vector<Roi>& rois_in
   }
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest_));
   const Roi image = ImageOf(manifest_);
+  const Image<float> brightening =
+      BrighteningOf(manifest_.sensor(), static_cast<int>(manifest_.width_px()), static_cast<int>(manifest_.height_px()));
   double done = 0.0;
   for (const std::size_t i : wanted) {
     if (!progress(done++ / static_cast<double>(wanted.size()))) return Cancelled("the reading of frames was stopped");
     if (!files_[i].empty()) continue;
-    TREM_ASSIGN_OR_RETURN(const Image<float> whole, reader->Read(frames_[i].index));
+    TREM_ASSIGN_OR_RETURN(Image<float> whole, reader->Read(frames_[i].index));
+    Brighten(brightening, &whole);
     Image<float> pixels(image.width(), image.height());
     for (int y = image.y0; y < image.y1; ++y) std::copy_n(whole.row(y) + image.x0, image.width(), pixels.row(y - image.y0));
     files_[i] = store_.NewTemporaryPath(".tif");

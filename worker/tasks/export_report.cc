@@ -15,6 +15,7 @@
 #include "mosaic/raster/crs.h"
 #include "proto/codec/convert.h"
 #include "worker/sortie/frame_reader.h"
+#include "worker/sortie/vignetting.h"
 
 namespace trem {
 namespace {
@@ -231,6 +232,7 @@ Result<std::vector<ReportCrop>> MakeCrops(const v1::SortieManifest& manifest, co
   TREM_ASSIGN_OR_RETURN(const std::vector<FramePlacement> frames, AlignedPlacements(alignment));
   TREM_ASSIGN_OR_RETURN(const std::unique_ptr<FrameReader> reader, OpenFrames(manifest));
   const Roi image{0, 0, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())};
+  const Image<float> brightening = BrighteningOf(manifest.sensor(), image.width(), image.height());
   for (const Roi& roi : rois_in_mosaic) {
     ReportCrop crop;
     crop.place = PlaceText(grid, roi, alignment.georeferenced());
@@ -240,6 +242,7 @@ Result<std::vector<ReportCrop>> MakeCrops(const v1::SortieManifest& manifest, co
     TREM_ASSIGN_OR_RETURN(const std::optional<FramePlacement> best, BestFrame(manifest, frames, grid, roi));
     if (best) {
       TREM_ASSIGN_OR_RETURN(Image<float> pixels, reader->Read(best->index));
+      Brighten(brightening, &pixels);
       for (float& value : pixels.pixels()) {
         const double internal = (value - manifest.grey_offset()) / manifest.grey_scale();
         value = static_cast<float>(manifest.grey_offset() + manifest.grey_scale() * (internal - best->offset) / best->gain);

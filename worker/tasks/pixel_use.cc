@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "worker/sortie/pixel_mask.h"
+#include "worker/sortie/vignetting.h"
 #include "worker/tasks/sensor_of.h"
 
 namespace trem {
@@ -20,6 +21,7 @@ Result<PixelUse> PixelUse::Of(const v1::Sensor& sensor, const v1::SortieManifest
     TREM_ASSIGN_OR_RETURN(use.usable_, UsableFromRuns({found.unusable_runs().data(), static_cast<std::size_t>(found.unusable_runs_size())},
                                                       static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px())));
   }
+  use.brightening_ = BrighteningOf(found, static_cast<int>(manifest.width_px()), static_cast<int>(manifest.height_px()));
   use.grey_offset_ = manifest.grey_offset();
   use.grey_scale_ = manifest.grey_scale();
   use.black_ = static_cast<float>(-manifest.grey_offset() / manifest.grey_scale());
@@ -43,6 +45,20 @@ void PixelUse::Take(const Image<float>& whole, const Roi& roi, FrameInput* frame
     }
   }
   Weigh(frame);
+  if (!brightening_.empty()) UndoVignetting(roi, frame);
+}
+
+void PixelUse::UndoVignetting(const Roi& roi, FrameInput* frame) const {
+  if (frame->weights.empty()) frame->weights = Image<float>(roi.width(), roi.height(), 1.0F);
+  for (int y = 0; y < roi.height(); ++y) {
+    const float* factor = brightening_.row(roi.y0 + y) + roi.x0;
+    float* pixel = frame->pixels.row(y);
+    float* weight = frame->weights.row(y);
+    for (int x = 0; x < roi.width(); ++x) {
+      pixel[x] = black_ + (pixel[x] - black_) * factor[x];
+      weight[x] /= factor[x] * factor[x];
+    }
+  }
 }
 
 void PixelUse::Weigh(FrameInput* frame) const {

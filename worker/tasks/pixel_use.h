@@ -14,7 +14,7 @@ namespace trem {
 
 // What of a frame's ROI is used, and how much it counts: masked and bad pixels become NaN; saturated ones keep their value with a
 // twentieth of the weight (they still say that it is bright there, so that a clipped roof is no hole, and are too weak to bend anything);
-// photon noise weighs every pixel.
+// photon noise weighs every pixel. What the sensor's vignetting took is given back, and its noise, which grows with that, counts less.
 class PixelUse {
  public:
   static Result<PixelUse> Of(const v1::Sensor& sensor, const v1::SortieManifest& manifest);
@@ -27,15 +27,17 @@ class PixelUse {
 
  private:
   void Weigh(FrameInput* frame) const;
+  void UndoVignetting(const Roi& roi, FrameInput* frame) const;
 
   PixelUse() = default;
 
-  Image<std::uint8_t> usable_;              // Empty: all.
+  Image<std::uint8_t> usable_;  // Empty: all.
+  Image<float> brightening_;    // Empty: no vignetting.
   double grey_offset_ = 0.0;
   double grey_scale_ = 1.0;
-  std::optional<float> saturation_level_;   // Internal grey levels.
-  std::optional<NoiseModel> noise_;         // Grey levels above black; nothing when the noise is constant.
-  float black_ = 0.0F;                      // Internal grey level of the source's 0.
+  std::optional<float> saturation_level_;  // Internal grey levels.
+  std::optional<NoiseModel> noise_;        // Grey levels above black; nothing when the noise is constant.
+  float black_ = 0.0F;                     // Internal grey level of the source's 0.
 };
 
 // A window with less of its ROI usable is not worth registering.

@@ -11,8 +11,8 @@
 
 #include "proto/codec/convert.h"
 #include "proto/codec/sortie_spec.h"
-#include "tests/support/paths.h"
 #include "tests/support/leaf_truth.h"
+#include "tests/support/paths.h"
 #include "tests/support/rendered_sequence.h"
 #include "tests/unit/worker/sortie/test_video.h"
 #include "worker/tasks/engine_options_of.h"
@@ -38,7 +38,8 @@ void WritePng(const std::filesystem::path& path, const Image<float>& frame) {
 // Twelve frames of a camera that moves by (1.3, 0.7) px a frame.
 void WriteFrames(const std::filesystem::path& folder) {
   std::filesystem::create_directories(folder);
-  for (int i = 0; i < 12; ++i) WritePng(folder / ("f" + std::to_string(100 + i) + ".png"), testing::TexturedFrame(kWidth, kHeight, 1.3 * i, 0.7 * i, 1));
+  for (int i = 0; i < 12; ++i)
+    WritePng(folder / ("f" + std::to_string(100 + i) + ".png"), testing::TexturedFrame(kWidth, kHeight, 1.3 * i, 0.7 * i, 1));
 }
 
 v1::Sortie SortieAt(const std::filesystem::path& folder) {
@@ -203,6 +204,26 @@ TEST(PixelUse, SaturatedPixelsHardlyCountAndPhotonNoiseWeighs) {
   EXPECT_NEAR(model.Variance(40.0), model.typical_variance, 1e-12) << "40 internal grey levels above black are 400 of the source";
   PixelUse::Of(photons, manifest)->Take(Image<float>(20, 20, 100.0F), {0, 0, 20, 20}, &frame);
   EXPECT_NEAR(frame.weights.at(9, 9), 9.0 / 3.0, 1e-5);
+}
+
+TEST(PixelUse, VignettingIsUndoneAboveBlackAndItsNoiseCountsLess) {
+  v1::SortieManifest manifest;
+  manifest.set_width_px(21);
+  manifest.set_height_px(21);
+  manifest.set_grey_offset(100.0);
+  manifest.set_grey_scale(10.0);
+  manifest.mutable_sensor()->set_saturation_level(1000.0);
+  manifest.mutable_sensor()->mutable_vignetting()->set_second(std::log(0.5));
+  Image<float> whole(21, 21, 700.0F);
+  whole.at(20, 20) = 1000.0F;
+  FrameInput frame;
+  PixelUse::Of(v1::Sensor(), manifest)->Take(whole, {0, 0, 21, 21}, &frame);
+  EXPECT_NEAR(frame.pixels.at(10, 10), 60.0, 1e-4);
+  EXPECT_NEAR(frame.weights.at(10, 10), 1.0, 1e-5);
+  EXPECT_NEAR(frame.pixels.at(0, 0), (2.0 * 700.0 - 100.0) / 10.0, 1e-3) << "the source's grey levels are doubled, not the internal ones";
+  EXPECT_NEAR(frame.weights.at(0, 0), 0.25, 1e-5);
+  EXPECT_NEAR(frame.weights.at(20, 20), 0.05 * 0.25, 1e-5) << "what the sensor clipped was clipped before the vignetting was undone";
+  EXPECT_NEAR(frame.weights.at(0, 20), 0.25, 1e-5) << "1400 is no saturated level: the sensor said 700";
 }
 
 TEST(DescribeSortie, TheWidthOfThePsfIsEstimatedWithItsError) {
