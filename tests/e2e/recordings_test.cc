@@ -63,6 +63,25 @@ TEST_F(Recordings, AreAlignedToEachOtherInOneMosaic) {
   EXPECT_LE(figures.at("distortion_p95_px").get<double>(), 0.5) << score.stdout_text;
 }
 
+TEST_F(Recordings, AreInspectedAndPlannedAllOfThem) {
+  const fs::path first = Simulate("first", 1, ""), other = fixture_.SimulateSortie("other", 12, {"--width", "160", "--height", "120"});
+  const std::string spec = (first / "sortie.textproto").string(), more = "more=" + (other / "sortie.textproto").string();
+  const Completed inspect = fixture_.Run({BinaryPath("trem").string(), "inspect", spec, "--quiet", "--json", "--set", more});
+  ASSERT_EQ(inspect.exit_code, 0) << inspect.stderr_text;
+  const nlohmann::json recordings = nlohmann::json::parse(inspect.stdout_text).at("recordings");
+  ASSERT_EQ(recordings.size(), 2U);
+  EXPECT_EQ(recordings[0].at("frames"), 40);
+  EXPECT_EQ(recordings[1].at("frames"), 12);
+  const auto windows = [&](const std::vector<std::string>& options) {
+    std::vector<std::string> argv = {BinaryPath("trem").string(), "plan", spec, "--json"};
+    argv.insert(argv.end(), options.begin(), options.end());
+    const Completed plan = fixture_.Run(argv);
+    EXPECT_EQ(plan.exit_code, 0) << plan.stderr_text;
+    return nlohmann::json::parse(plan.stdout_text).at("windows").get<int>();
+  };
+  EXPECT_EQ(windows({"--set", more}), 2 * windows({})) << "both recordings are shorter than a window, over the same ROIs";
+}
+
 TEST_F(Recordings, OfAnotherSensorAreRefusedByName) {
   const fs::path first = Simulate("first", 1, "");
   const fs::path other = fixture_.SimulateSortie("other", 12, {"--width", "96", "--height", "72"});

@@ -137,12 +137,15 @@ TEST_F(RemoteTest, StreamsArtefactsToAWorkerThatSharesNothing) {
 }
 
 TEST_F(RemoteTest, UploadsASortieThatTheWorkersCannotRead) {
-  const fs::path sortie = fixture_.SimulateSortie("sortie", 16);
+  // Two recordings, whose frames and telemetry have the same names.
+  const fs::path sortie = fixture_.SimulateSortie("sortie", 16), second_sortie = fixture_.SimulateSortie("second", 12);
   const fs::path out = fixture_.NewFolder("out");
-  ASSERT_EQ(Trem({"run", (sortie / "sortie.textproto").string(), "-o", (out / "local.tif").string()}).exit_code, 0);
-  const Completed submit = Trem({"submit", (sortie / "sortie.textproto").string(), "--job-id", "town-1", "--upload"});
+  const std::string spec = (sortie / "sortie.textproto").string(), second_spec = (second_sortie / "sortie.textproto").string();
+  ASSERT_EQ(Trem({"run", spec, "--also", second_spec, "-o", (out / "local.tif").string()}).exit_code, 0);
+  const Completed submit = Trem({"submit", spec, "--also", second_spec, "--job-id", "town-1", "--upload"});
   ASSERT_EQ(submit.exit_code, 0) << submit.stderr_text;
   fs::rename(sortie, fixture_.folder() / "out-of-reach");
+  fs::rename(second_sortie, fixture_.folder() / "out-of-reach-too");
   const std::vector<std::string> argv = {BinaryPath("trem-worker").string(), "serve", "--coordinator", endpoint_};
   Subprocess first(argv, fixture_.Options());
   Subprocess second(argv, fixture_.Options());

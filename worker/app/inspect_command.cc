@@ -7,6 +7,7 @@
 #include <cstdio>
 #include <opencv2/core.hpp>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "mosaic/base/file.h"
@@ -16,6 +17,7 @@
 #include "worker/app/sortie_report.h"
 #include "worker/app/usage.h"
 #include "worker/tasks/describe_sortie.h"
+#include "worker/tasks/merge_recordings.h"
 
 namespace trem {
 namespace {
@@ -25,7 +27,8 @@ constexpr const char* kExamples =
     "  trem inspect flight.ts                               a video\n"
     "  trem inspect frames/                                 a folder of images, with its telemetry.csv\n"
     "  trem inspect sortie.textproto --set source.max_frames=100\n"
-    "  trem inspect 'frames/*.png' --json\n";
+    "  trem inspect 'frames/*.png' --json\n"
+    "  trem inspect flight.ts --set more=second.ts          two recordings, one after the other\n";
 
 struct Arguments {
   std::string sortie;
@@ -35,14 +38,21 @@ struct Arguments {
   bool quiet = false;
 };
 
-Result<v1::SortieManifest> Ingest(const Arguments& arguments) {
-  TREM_ASSIGN_OR_RETURN(const v1::Sortie sortie, LoadSortie(arguments.sortie, arguments.overrides));
+// The manifests of all recordings, in order.
+Result<std::vector<v1::SortieManifest>> Ingest(const Arguments& arguments, const v1::Sortie& sortie) {
   ProgressBar bar("reading", arguments.quiet);
+  const int count = 1 + sortie.more_size();
+  std::vector<v1::SortieManifest> manifests;
   try {
-    return DescribeSortie(sortie, [&bar](double fraction) {
-      bar.Show(fraction);
-      return true;
-    });
+    for (int k = 0; k < count; ++k) {
+      Result<v1::SortieManifest> manifest = DescribeSortie(SortieOfRecording(sortie, k), [&](double fraction) {
+        bar.Show((k + fraction) / count);
+        return true;
+      });
+      if (!manifest.ok()) return k == 0 ? manifest.status() : manifest.status().WithPrefix(fmt::format("more[{}]", k - 1));
+      manifests.push_back(std::move(*manifest));
+    }
+    return manifests;
   } catch (const cv::Exception& exception) {
     return Failed(std::string("OpenCV: ") + exception.what());
   } catch (const std::bad_alloc&) {
@@ -51,12 +61,16 @@ Result<v1::SortieManifest> Ingest(const Arguments& arguments) {
 }
 
 Status Inspect(const Arguments& arguments) {
-  TREM_ASSIGN_OR_RETURN(const v1::SortieManifest manifest, Ingest(arguments));
+  TREM_ASSIGN_OR_RETURN(const v1::Sortie sortie, LoadSortie(arguments.sortie, arguments.overrides));
+  TREM_ASSIGN_OR_RETURN(const std::vector<v1::SortieManifest> manifests, Ingest(arguments, sortie));
+  // Whether one mosaic can be made of them is said here, too.
+  TREM_ASSIGN_OR_RETURN(const MergedRecordings merged, MergeRecordings(sortie, manifests));
   if (!arguments.manifest_path.empty()) {
-    TREM_RETURN_IF_ERROR(WriteFileAtomically(arguments.manifest_path, SerializeDeterministic(manifest)));
+    TREM_RETURN_IF_ERROR(WriteFileAtomically(arguments.manifest_path, SerializeDeterministic(merged.all)));
   }
-  const SortieReport report = ReportOn(manifest);
-  fmt::print("{}", arguments.json ? FormatReportAsJson(manifest, report) : FormatReport(manifest, report));
+  std::vector<SortieReport> reports;
+  for (const v1::SortieManifest& manifest : manifests) reports.push_back(ReportOn(manifest));
+  fmt::print("{}", arguments.json ? FormatReportsAsJson(manifests, reports) : FormatReports(manifests, reports));
   return {};
 }
 

@@ -258,7 +258,9 @@ std::string FormatReport(const v1::SortieManifest& manifest, const SortieReport&
   return text;
 }
 
-std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieReport& report) {
+namespace {
+
+nlohmann::ordered_json ReportAsJson(const v1::SortieManifest& manifest, const SortieReport& report) {
   nlohmann::ordered_json json = {
       {"source", manifest.source_path()},
       {"kind", manifest.source_kind() == v1::VIDEO ? "video" : "images"},
@@ -311,6 +313,29 @@ std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieR
                              {"subject", note.subject()},
                              {"message", note.message()}});
   }
+  return json;
+}
+
+}  // namespace
+
+std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieReport& report) {
+  return ReportAsJson(manifest, report).dump(2) + "\n";
+}
+
+std::string FormatReports(const std::vector<v1::SortieManifest>& manifests, const std::vector<SortieReport>& reports) {
+  if (manifests.size() == 1) return FormatReport(manifests.front(), reports.front());
+  std::string text;
+  for (std::size_t k = 0; k < manifests.size(); ++k) {
+    text += fmt::format("{}recording {} of {}\n", k == 0 ? "" : "\n", k + 1, manifests.size());
+    text += FormatReport(manifests[k], reports[k]);
+  }
+  return text;
+}
+
+std::string FormatReportsAsJson(const std::vector<v1::SortieManifest>& manifests, const std::vector<SortieReport>& reports) {
+  if (manifests.size() == 1) return FormatReportAsJson(manifests.front(), reports.front());
+  nlohmann::ordered_json json;
+  for (std::size_t k = 0; k < manifests.size(); ++k) json["recordings"].push_back(ReportAsJson(manifests[k], reports[k]));
   return json.dump(2) + "\n";
 }
 

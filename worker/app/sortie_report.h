@@ -47,4 +47,9 @@ std::string FormatReport(const v1::SortieManifest& manifest, const SortieReport&
 // For programs: one JSON object, indented.
 std::string FormatReportAsJson(const v1::SortieManifest& manifest, const SortieReport& report);
 
+// The same of a sortie's recordings, in order: of one as above; of several one after the other, as JSON in "recordings". Parallel, not
+// empty.
+std::string FormatReports(const std::vector<v1::SortieManifest>& manifests, const std::vector<SortieReport>& reports);
+std::string FormatReportsAsJson(const std::vector<v1::SortieManifest>& manifests, const std::vector<SortieReport>& reports);
+
 }  // namespace trem
