@@ -48,7 +48,11 @@ ReportCheck Position(const ReportData& data) {
 
 ReportCheck Overlap(const ReportData& data) {
   return {"Scenes over a pixel", fmt::format("{:.0f} (median)", data.median_scenes), AtLeast(data.median_scenes, 3.0, 1.0),
-          "From three on a median can outvote what moved or went wrong in one. One scene, though of many frames, is checked by no other."};
+          "From three on a median can outvote what moved or went wrong in one. Two can still disagree, which the spread shows. One is "
+          "checked by no "
+          "other: it is made of many frames that agreed with it, and its standard error of position holds, but a mover, or a scene that "
+          "lies wrong, "
+          "would not be noticed. So one is a reason to look, not to reject."};
 }
 
 ReportCheck Spread(const ReportData& data) {

@@ -43,8 +43,15 @@ TEST_P(SimulatedSortie, GivesAMosaicThatIsWholeInPlaceAndSharper) {
   ASSERT_EQ(fixture.Run(simulate).exit_code, 0);
 
   const fs::path mosaic = fixture.folder() / "mosaic.tif";
-  std::vector<std::string> argv = {
-      BinaryPath("trem").string(), "run", (sortie / "sortie.textproto").string(), "-o", mosaic.string(), "--quiet", "--workers", "2", "--keep-work"};
+  std::vector<std::string> argv = {BinaryPath("trem").string(),
+                                   "run",
+                                   (sortie / "sortie.textproto").string(),
+                                   "-o",
+                                   mosaic.string(),
+                                   "--quiet",
+                                   "--workers",
+                                   "2",
+                                   "--keep-work"};
   for (std::string option : GetParam().run) {
     if (const std::size_t at = option.find("=@/"); at != std::string::npos) option.replace(at + 1, 1, sortie.string());
     argv.push_back(option);
@@ -53,9 +60,8 @@ TEST_P(SimulatedSortie, GivesAMosaicThatIsWholeInPlaceAndSharper) {
   ASSERT_EQ(run.exit_code, 0) << run.stderr_text;
   EXPECT_THAT(run.orphans, IsEmpty());
 
-  const Completed score =
-      fixture.Run({BinaryPath("trem_score").string(), "--simulation", sortie.string(), "--mosaic", mosaic.string(), "--work",
-                   mosaic.string() + ".work", "--json"});
+  const Completed score = fixture.Run({BinaryPath("trem_score").string(), "--simulation", sortie.string(), "--mosaic", mosaic.string(),
+                                       "--work", mosaic.string() + ".work", "--json"});
   ASSERT_EQ(score.exit_code, 0) << score.stderr_text;
   const nlohmann::json figures = nlohmann::json::parse(score.stdout_text);
   EXPECT_GE(figures.at("coverage").get<double>(), 0.97) << score.stdout_text;
@@ -65,21 +71,16 @@ TEST_P(SimulatedSortie, GivesAMosaicThatIsWholeInPlaceAndSharper) {
   EXPECT_LE(figures.at("placement_loss_db").get<double>(), 0.7) << score.stdout_text;
 }
 
-INSTANTIATE_TEST_SUITE_P(Flights, SimulatedSortie,
-                         ::testing::Values(Scenario{"Nadir", {}, {}}, Scenario{"Oblique", {"--pitch-deg", "-45"}, {}},
-                                           Scenario{"WideProjective",
-                                                    {"--pitch-deg", "-45", "--hfov-deg", "20"},
-                                                    {"--set", "tre.view_model=PROJECTIVE", "--set", "sensor.psf_sigma_px=0.6"}},
-                                           // A tenth of the camera's height.
-                                           Scenario{"Hills",
-                                                    {"--hfov-deg", "30", "--relief-m", "9"},
-                                                    {"--set", "telemetry.dem_path=@/truth/dem.tif", "--set", "sensor.psf_sigma_px=0.6"},
-                                                    1.0},
-                                           Scenario{"Movers", {"--movers", "8", "--drop", "0.03"}, {}},
-                                           Scenario{"SixteenBit", {"--bits", "16", "--seed", "2"}, {}},
-                                           Scenario{"RatioTwo", {}, {"--set", "tre.ratio=2"}},
-                                           Scenario{"HintsThenGaussNewton", {}, {"--set", "tre.registration=HINTS_THEN_GAUSS_NEWTON"}}),
-                         [](const auto& instance) { return instance.param.name; });
+INSTANTIATE_TEST_SUITE_P(
+    Flights, SimulatedSortie,
+    ::testing::Values(Scenario{"Nadir", {}, {}}, Scenario{"Oblique", {"--pitch-deg", "-45"}, {}},
+                      Scenario{"WideProjective", {"--pitch-deg", "-45", "--hfov-deg", "20"}, {"--set", "tre.view_model=PROJECTIVE"}},
+                      // A tenth of the camera's height.
+                      Scenario{"Hills", {"--hfov-deg", "30", "--relief-m", "9"}, {"--set", "telemetry.dem_path=@/truth/dem.tif"}, 1.0},
+                      Scenario{"Movers", {"--movers", "8", "--drop", "0.03"}, {}},
+                      Scenario{"SixteenBit", {"--bits", "16", "--seed", "2"}, {}}, Scenario{"RatioTwo", {}, {"--set", "tre.ratio=2"}},
+                      Scenario{"HintsThenGaussNewton", {}, {"--set", "tre.registration=HINTS_THEN_GAUSS_NEWTON"}}),
+    [](const auto& instance) { return instance.param.name; });
 
 // Frame index -> whether some window registered the frame or started a scene with it. The columns before the status hold no commas here.
 std::map<std::string, bool> FramesInTheChain(const fs::path& chain_csv) {
@@ -119,12 +120,11 @@ TEST_P(RealRecording, EndsInAMosaicInLocalCoordinates) {
   EXPECT_THAT(FileContents(out / "mosaic_report.html"), HasSubstr("local"));
 }
 
-INSTANTIATE_TEST_SUITE_P(Sets, RealRecording, ::testing::Values("fmv/aphill_240_1fps_crf32.mp4", "hit_uav_run"),
-                         [](const auto& instance) {
-                           std::string name = fs::path(instance.param).stem().string();
-                           std::erase(name, '_');
-                           return name;
-                         });
+INSTANTIATE_TEST_SUITE_P(Sets, RealRecording, ::testing::Values("fmv/aphill_240_1fps_crf32.mp4", "hit_uav_run"), [](const auto& instance) {
+  std::string name = fs::path(instance.param).stem().string();
+  std::erase(name, '_');
+  return name;
+});
 
 }  // namespace
 }  // namespace trem::testing
