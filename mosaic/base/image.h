@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "mosaic/base/check.h"
+#include "mosaic/base/large_pages.h"
 
 namespace trem {
 
@@ -31,7 +32,7 @@ class Image {
  private:
   int width_ = 0;
   int height_ = 0;
-  std::vector<T> pixels_;
+  std::vector<T, LargePageAllocator<T>> pixels_;
 };
 
 }  // namespace trem
