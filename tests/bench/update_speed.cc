@@ -7,8 +7,9 @@
 //   splat       5 planes (prediction read, W and Z read and written); 104 FLOP a pixel of the frame, 2 a cell (forgetting)
 //   seen        3 planes (W read, majoriser and seen written); B 2 (3 r + 1), tents 2 (3 q - 2), near 2 (2 floor(q / 2)), 2
 //   predict     2 planes (S read, B S written); 2 (3 r + 1)
-//   iterate K   8 planes (S, S before, W, Z, majoriser read; S, S before, B S written); K (4 (3 r + 1) + 17) + 2 (3 r + 1):
-//               two B, 3 extrapolation, 2 residual, 12 prior and step, per iteration; one B for the prediction
+//   iterate K   8 planes (S, S before, W, Z, majoriser read; S, S before, B S written); K (4 (3 r + 1) + 17): two B, 3 extrapolation, 2
+//               residual, 12 prior and step, per iteration, the prediction being the first of the next frame's. Reading it then is a
+//               ninth plane, which one more B would save: not counted
 //   update      splat + seen + iterate
 //   fill        1 plane (what has been filled); nothing is computed where every cell has been measured
 //   residual    4 planes of pixels (frame, predicted, value, variance) and 2 of cells (prediction and seen); 40 FLOP a pixel
@@ -112,9 +113,7 @@ struct Fixture {
     return {9.0 * looked_at, 4 * 2 * looked_at};
   }
   bench::Work NormalWork() const { return {210.0 * pixels(), 4 * (pixels() + 2 * cells())}; }
-  bench::Work IterateWork(int iterations) const {
-    return {cells() * (iterations * (2.0 * blur_flops() + 17.0) + blur_flops()), 8 * 4 * cells()};
-  }
+  bench::Work IterateWork(int iterations) const { return {cells() * iterations * (2.0 * blur_flops() + 17.0), 8 * 4 * cells()}; }
 };
 
 using Stage = void (*)(Fixture*);

@@ -6,7 +6,7 @@
 #define HWY_TARGET_INCLUDE "worker/registration/row_moments.cc"
 #include <hwy/foreach_target.h>
 // After foreach_target.
-#include <hwy/highway.h>
+#include "worker/sensor/bicubic-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
@@ -81,20 +81,21 @@ HWY_ATTR void CombineRows(const MomentRow& row, MomentScratch* s) {
     s->slopes[static_cast<std::size_t>(i)] = (g[0] * p[0] + g[1] * p[row.stride]) + (g[2] * p[2 * row.stride] + g[3] * p[3 * row.stride]);
   }
 #else
-  const Four d;
-  for (int i = 0; i < row.count; ++i) {
-    s->seen[static_cast<std::size_t>(i)] = row.seen[s->nearest[static_cast<std::size_t>(i)]];
-    const float* p = row.prediction + s->index[static_cast<std::size_t>(i)];
-    const float* w = s->y_weights.data() + 4 * i;
-    const float* g = s->y_slopes.data() + 4 * i;
-    const auto a = hn::LoadU(d, p);
-    const auto b = hn::LoadU(d, p + row.stride);
-    const auto c = hn::LoadU(d, p + 2 * row.stride);
-    const auto e = hn::LoadU(d, p + 3 * row.stride);
-    const auto value = hn::Add(hn::Add(hn::Mul(hn::Set(d, w[0]), a), hn::Mul(hn::Set(d, w[1]), b)),
-                               hn::Add(hn::Mul(hn::Set(d, w[2]), c), hn::Mul(hn::Set(d, w[3]), e)));
-    const auto slope = hn::Add(hn::Add(hn::Mul(hn::Set(d, g[0]), a), hn::Mul(hn::Set(d, g[1]), b)),
-                               hn::Add(hn::Mul(hn::Set(d, g[2]), c), hn::Mul(hn::Set(d, g[3]), e)));
+  const Supports d;
+  for (int i = 0; i < row.count; ++i) s->seen[static_cast<std::size_t>(i)] = row.seen[s->nearest[static_cast<std::size_t>(i)]];
+  // Beyond the last pixel Locate has put places inside the image.
+  for (int i = 0; i < row.count; i += kSupports) {
+    const int* const first = s->index.data() + i;
+    const auto w = hn::LoadU(d, s->y_weights.data() + 4 * i);
+    const auto g = hn::LoadU(d, s->y_slopes.data() + 4 * i);
+    const auto a = LoadSupports(d, row.prediction, first);
+    const auto b = LoadSupports(d, row.prediction + row.stride, first);
+    const auto c = LoadSupports(d, row.prediction + 2 * row.stride, first);
+    const auto e = LoadSupports(d, row.prediction + 3 * row.stride, first);
+    const auto value = hn::Add(hn::Add(hn::Mul(hn::Broadcast<0>(w), a), hn::Mul(hn::Broadcast<1>(w), b)),
+                               hn::Add(hn::Mul(hn::Broadcast<2>(w), c), hn::Mul(hn::Broadcast<3>(w), e)));
+    const auto slope = hn::Add(hn::Add(hn::Mul(hn::Broadcast<0>(g), a), hn::Mul(hn::Broadcast<1>(g), b)),
+                               hn::Add(hn::Mul(hn::Broadcast<2>(g), c), hn::Mul(hn::Broadcast<3>(g), e)));
     hn::StoreU(value, d, s->values.data() + 4 * i);
     hn::StoreU(slope, d, s->slopes.data() + 4 * i);
   }

@@ -125,7 +125,7 @@ void AutomaticRegularisation::Trial::Run(const SceneBuffer& buffer, const Roi& i
   Crop(buffer.weight, crop, &tile.weight);
   Crop(buffer.weighted, crop, &tile.weighted);
   Crop(buffer.majoriser, crop, &tile.majoriser);
-  if (tile.prediction.width() != crop.width() || tile.prediction.height() != crop.height()) tile.prediction = tile.scene;
+  Crop(buffer.prediction, crop, &tile.prediction);
   update.set_prior(prior);
   update.Restart();
   update.Iterate(inner, kProbeIterations, lambda, &tile);

@@ -17,15 +17,19 @@ constexpr double kShiftJump = 25.0;  // Internal grey levels.
 // Spread [noise sigmas] that a gain can be read from.
 constexpr double kSpreadSigmas = 6.0;
 
+// 10, 50 and 90 %.
 std::array<double, 3> Percentiles(std::vector<float>* values) {
-  std::array<double, 3> result{};
-  constexpr std::array<double, 3> kParts = {0.1, 0.5, 0.9};
-  for (std::size_t i = 0; i < kParts.size(); ++i) {
-    const auto at = values->begin() + static_cast<std::ptrdiff_t>(kParts[i] * static_cast<double>(values->size() - 1));
-    std::nth_element(values->begin(), at, values->end());
-    result[i] = *at;
-  }
-  return result;
+  const auto at = [&](double part) {
+    return values->begin() + static_cast<std::ptrdiff_t>(part * static_cast<double>(values->size() - 1));
+  };
+  const auto low = at(0.1);
+  const auto middle = at(0.5);
+  const auto high = at(0.9);
+  // The median parts them in two halves, in which the others are.
+  std::nth_element(values->begin(), middle, values->end());
+  std::nth_element(values->begin(), low, middle);
+  std::nth_element(middle, high, values->end());
+  return {*low, *middle, *high};
 }
 
 }  // namespace

@@ -17,8 +17,6 @@ void FitSize(const Image<float>& like, Image<float>* image) {
   if (image->width() != like.width() || image->height() != like.height()) *image = Image<float>(like.width(), like.height());
 }
 
-Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
-
 // Cells beyond the last samples of many frames of a fixed camera are fitted through the PSF's tails, but not determined by the data: what
 // they hold is amplified noise. They count as not seen when less than this part of the samples about them lies within half a sensor
 // pixel. Where few frames were seen, samples are sparse and the test would punch holes.
@@ -236,32 +234,32 @@ void InformationUpdate::Predict(const Roi& region, SceneBuffer* buffer) {
 }
 
 float InformationUpdate::NextMomentum() {
-  const float momentum = static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
   ++steps_;
-  return momentum;
+  return static_cast<float>(std::min(options_.momentum_max, steps_ / (steps_ + 3.0)));
 }
 
 void InformationUpdate::Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
-  if (inner.empty()) return;
+  if (inner.empty() || iterations < 1) return;
   const bool known_prior = options_.prior.kind == StructurePriorKind::kHuberTv || options_.prior.kind == StructurePriorKind::kMembrane;
-  if (iterations < 1) {
-    Predict(region, buffer);
-  } else if (options_.fused && known_prior && blur_.psf().is_rank_one_symmetric()) {
+  if (options_.fused && known_prior && blur_.psf().is_rank_one_symmetric()) {
     IterateFused(inner, iterations, lambda, buffer);
   } else {
     IterateInPasses(inner, iterations, lambda, buffer);
-    Predict(region, buffer);
+    Predict(Grown(region, blur_.psf().radius()), buffer);
   }
 }
 
 void InformationUpdate::Converge(const Roi& region, int iterations, float lambda, SceneBuffer* buffer) {
   const int steps = std::exchange(steps_, 0);
   const double momentum_max = std::exchange(options_.momentum_max, 1.0);
+  const Roi around = Grown(region, blur_.psf().radius());
   buffer->previous = buffer->scene;
+  Predict(around, buffer);
   Iterate(region, iterations, lambda, buffer);
   // The next frame brings other samples: what the scene was moving towards is no longer where it goes.
-  buffer->previous = buffer->scene;
+  buffer->scene = buffer->previous;
+  Predict(around, buffer);
   options_.momentum_max = momentum_max;
   steps_ = steps;
 }
@@ -276,48 +274,45 @@ void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lam
   if (!in_place) {
     FitSize(buffer->scene, &next_scene_);
     FitSize(buffer->scene, &next_previous_);
+    FitSize(buffer->scene, &next_prediction_);
   }
+  const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
+  const Roi around = Intersect(Grown(inner, blur_.psf().radius()), whole);
   const std::size_t threads = static_cast<std::size_t>(std::max(options_.threads, 1));
   while (sweeps_.size() < threads) sweeps_.emplace_back(blur_.psf());
   std::vector<float> momenta;
   while (iterations > 0) {
     momenta.clear();
     for (; iterations > 0 && momenta.size() < kStepsPerSweep; --iterations) momenta.push_back(NextMomentum());
-    SweepPlanes planes{&buffer->scene, &buffer->previous, &buffer->weight, &buffer->weighted, &buffer->majoriser};
-    planes.next_scene = in_place ? &buffer->scene : &next_scene_;
-    planes.next_previous = in_place ? &buffer->previous : &next_previous_;
-    planes.prediction = iterations == 0 ? &buffer->prediction : nullptr;
+    SweepPlanes planes{&buffer->scene,     &buffer->previous, &buffer->prediction, &buffer->weight,    &buffer->weighted,
+                       &buffer->majoriser, &buffer->scene,    &buffer->previous,   &buffer->prediction};
+    if (!in_place) {
+      planes.next_scene = &next_scene_;
+      planes.next_previous = &next_previous_;
+      planes.next_prediction = &next_prediction_;
+    }
     ForEachIndex(options_.threads, static_cast<int>(tiles.size()), [&](int tile, int slot) {
       sweeps_[static_cast<std::size_t>(slot)].Run(planes, inner, tiles[static_cast<std::size_t>(tile)], momenta, weights);
     });
     if (in_place) continue;
     CopyOutside(buffer->scene, inner, &next_scene_);
     CopyOutside(buffer->previous, inner, &next_previous_);
+    CopyOutside(buffer->prediction, around, &next_prediction_);
     std::swap(buffer->scene, next_scene_);
     std::swap(buffer->previous, next_previous_);
+    std::swap(buffer->prediction, next_prediction_);
   }
 }
 
 void InformationUpdate::IterateInPasses(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer) {
-  FitSize(buffer->scene, &extrapolated_);
   FitSize(buffer->scene, &residual_);
   FitSize(buffer->scene, &gradient_);
-  // The gradient in the region reads residuals a radius beyond it, and those read the scene a radius further; there it stays unmoved.
-  const Roi whole{0, 0, buffer->scene.width(), buffer->scene.height()};
-  const Roi context = Intersect(Grown(inner, blur_.psf().radius()), whole);
-  const Roi support = Intersect(Grown(inner, 2 * blur_.psf().radius()), whole);
+  // The gradient in the region reads residuals a radius beyond it; there the scene stays unmoved.
+  const Roi context = Intersect(Grown(inner, blur_.psf().radius()), {0, 0, buffer->scene.width(), buffer->scene.height()});
   const float curvature = lambda * options_.prior.curvature_max();
   for (int iteration = 0; iteration < iterations; ++iteration) {
     const float momentum = NextMomentum();
-    for (int y = support.y0; y < support.y1; ++y) {
-      const float* now = buffer->scene.row(y);
-      const float* before = buffer->previous.row(y);
-      float* out = extrapolated_.row(y);
-      std::copy(now + support.x0, now + support.x1, out + support.x0);
-      if (y < inner.y0 || y >= inner.y1) continue;
-      for (int x = inner.x0; x < inner.x1; ++x) out[x] += momentum * (now[x] - before[x]);
-    }
-    blur_.Apply(extrapolated_, context, &residual_);
+    blur_.Apply(buffer->scene, context, &residual_);
     for (int y = context.y0; y < context.y1; ++y) {
       const float* w = buffer->weight.row(y);
       const float* z = buffer->weighted.row(y);
@@ -325,16 +320,16 @@ void InformationUpdate::IterateInPasses(const Roi& inner, int iterations, float 
       for (int x = context.x0; x < context.x1; ++x) r[x] = w[x] * r[x] - z[x];
     }
     blur_.ApplyAdjoint(residual_, inner, &gradient_);
-    options_.prior.AddGradient(extrapolated_, inner, lambda, &gradient_);
+    options_.prior.AddGradient(buffer->scene, inner, lambda, &gradient_);
     for (int y = inner.y0; y < inner.y1; ++y) {
       const float* g = gradient_.row(y);
       const float* majoriser = buffer->majoriser.row(y);
-      const float* start = extrapolated_.row(y);
-      float* now = buffer->scene.row(y);
-      float* before = buffer->previous.row(y);
+      float* scene = buffer->scene.row(y);
+      float* previous = buffer->previous.row(y);
       for (int x = inner.x0; x < inner.x1; ++x) {
-        before[x] = now[x];
-        now[x] = start[x] - g[x] / (majoriser[x] + curvature + kCurvatureMin);
+        const float next = scene[x] - g[x] / (majoriser[x] + curvature + kCurvatureMin);
+        scene[x] = next + momentum * (next - previous[x]);
+        previous[x] = next;
       }
     }
   }

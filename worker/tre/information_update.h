@@ -27,7 +27,9 @@ struct InformationOptions {
 //
 //   1/2 sum_c W_c ((B S)_c - Z_c / W_c)^2  +  lambda * sum psi(grad S)
 //
-// Memory and time do not grow with the number of frames. The step is the separable quadratic surrogate's (diagonal majoriser
+// Nesterov's momentum is applied at the end of a step: buffer->scene is where the next one begins, extrapolated, and buffer->previous what
+// the last one made. So buffer->prediction, B of the scene, is also what the next step needs first. Memory and time do not grow with the
+// number of frames. The step is the separable quadratic surrogate's (diagonal majoriser
 // |B|' W |B| 1 + 8 lambda; a PSF that is not negative and sums to 1 makes that B' W + 8 lambda), so it needs no tuning and well and
 // badly seen cells converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
 class InformationUpdate {
@@ -39,10 +41,12 @@ class InformationUpdate {
   void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
   // Recomputes buffer->majoriser and buffer->seen on `region` (scene plane).
   void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
-  // Runs `iterations` steps on `region` (scene plane) and leaves B S of the result in buffer->prediction. Needs UpdateSeen after the
-  // last AddFrame.
+  // Runs `iterations` steps on `region` (scene plane). Needs UpdateSeen after the last AddFrame, and buffer->prediction to be B of the
+  // scene on the region and the PSF's radius around it, as which it leaves it: as long as what else changes the scene predicts what it has
+  // changed, with the radius around it, that is so everywhere.
   void Iterate(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
-  // As Iterate, momentum begun anew and growing without a bound (FISTA's): for many steps on samples that no longer change.
+  // As Iterate, momentum begun anew and growing without a bound (FISTA's): for many steps on samples that no longer change. Makes the
+  // prediction that it needs by itself; the scene is what the last step made, not extrapolated.
   void Converge(const Roi& region, int iterations, float lambda, SceneBuffer* buffer);
   // The steps that follow gain momentum from the start, as a new object's.
   void Restart() { steps_ = 0; }
@@ -68,7 +72,7 @@ class InformationUpdate {
   // |B| 1 = 1 + 2 n and N' W <= 4 n max W (reflection folds up to four cells on one), so (1 + 2 n) (B' W + 8 n max W) bounds
   // |B|' W |B| 1. Nothing to do when n == 0.
   void AddNegativePart(const Roi& inner, SceneBuffer* buffer) const;
-  // The momentum of the next iteration.
+  // The momentum after the next iteration.
   float NextMomentum();
   void IterateFused(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer);
   void IterateInPasses(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer);
@@ -80,7 +84,7 @@ class InformationUpdate {
   std::vector<Scratch> scratch_;     // One per thread.
   Image<float> next_scene_;          // Where the tiles of a large region are written.
   Image<float> next_previous_;
-  Image<float> extrapolated_;
+  Image<float> next_prediction_;
   Image<float> residual_;
   Image<float> gradient_;
 };

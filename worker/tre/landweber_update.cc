@@ -14,8 +14,6 @@ constexpr float kKnownFrames = 1.5F;
 // Reach of the bicubic stencil.
 constexpr int kStencil = 2;
 
-Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
-
 void FitSize(const Image<float>& like, Image<float>* image) {
   if (image->width() != like.width() || image->height() != like.height()) *image = Image<float>(like.width(), like.height());
 }

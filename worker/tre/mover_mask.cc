@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "worker/sensor/parallel.h"
 #include "worker/tre/view_row.h"
 
 namespace trem {
@@ -21,6 +22,8 @@ constexpr double kPartMax = 0.35;
 // Votes to outvote a block: as many as frames had seen it, within these.
 constexpr float kVotesMin = 8.0F;
 constexpr float kVotesMax = 24.0F;
+// Rows that one thread takes at a time.
+constexpr int kBandRows = 64;
 // Votes agree when they differ by less than this part, or this many noise sigmas.
 constexpr float kVotePart = 0.35F;
 constexpr float kVoteSigmas = 4.0F;
@@ -93,59 +96,68 @@ bool MoverMask::IsOutvoted(const Eigen::Vector2d& cell) const {
   return index >= 0 && !outvoted_.empty() && blocks_.pixels()[static_cast<std::size_t>(index)].anew == stamp_;
 }
 
-void MoverMask::SumUp(const FrameResidual& residual) {
+void MoverMask::SumRow(const FrameResidual& residual, int v) {
   const int width = residual.value.width();
+  const float* value = residual.value.row(v);
+  const float* variance = residual.variance.row(v);
+  std::vector<float> excess(static_cast<std::size_t>(width) + 2, 0.0F);
+  std::vector<float> known(excess.size(), 0.0F);
+  for (int u = 0; u < width; ++u) {
+    const float squared = value[u] * value[u];
+    const bool usable = squared < 1e18F;  // Not when NaN.
+    excess[static_cast<std::size_t>(u) + 1] = usable ? std::min(squared / variance[u], kExcessMax) : 0.0F;
+    known[static_cast<std::size_t>(u) + 1] = usable ? 1.0F : 0.0F;
+  }
+  RowSum& sum = row_sums_[static_cast<std::size_t>(v)];
+  sum = {};
+  for (int u = 1; u <= width; ++u) {
+    sum.small += std::min(excess[static_cast<std::size_t>(u)], kSmallExcess);
+    sum.pixels += known[static_cast<std::size_t>(u)];
+  }
+  float* sums = excess_.row(v);
+  float* counts = known_.row(v);
+  for (int u = 0; u < width; ++u) {
+    const float* e = excess.data() + u;
+    const float* k = known.data() + u;
+    sums[u] = e[0] + e[1] + e[2];
+    counts[u] = k[0] + k[1] + k[2];
+  }
+}
+
+void MoverMask::ScoreRow(int v, float misfit) {
+  const int above = std::max(v - 1, 0);
+  const int below = std::min(v + 1, score_.height() - 1);
+  float* score = score_.row(v);
+  for (int u = 0; u < score_.width(); ++u) {
+    const float sum = excess_.at(u, v) + (above < v ? excess_.at(u, above) : 0.0F) + (below > v ? excess_.at(u, below) : 0.0F);
+    const float count = known_.at(u, v) + (above < v ? known_.at(u, above) : 0.0F) + (below > v ? known_.at(u, below) : 0.0F);
+    // Of few neighbours nothing can be said.
+    score[u] = count >= 4.0F ? sum / count / misfit : 0.0F;
+  }
+}
+
+void MoverMask::SumUp(const FrameResidual& residual, int threads) {
   const int height = residual.value.height();
   FitSize(residual.value, &excess_);
   FitSize(residual.value, &known_);
   FitSize(residual.value, &score_);
+  row_sums_.resize(static_cast<std::size_t>(height));
+  const auto for_rows = [&](const auto& body) {
+    ForEachIndex(threads, (height + kBandRows - 1) / kBandRows, [&](int band, int) {
+      for (int v = band * kBandRows; v < std::min((band + 1) * kBandRows, height); ++v) body(v);
+    });
+  };
   // Sums along rows first.
-  std::vector<float> excess(static_cast<std::size_t>(width) + 2, 0.0F);
-  std::vector<float> known(excess.size(), 0.0F);
+  for_rows([&](int v) { SumRow(residual, v); });
   double small = 0.0;
   double pixels = 0.0;
-  for (int v = 0; v < height; ++v) {
-    const float* value = residual.value.row(v);
-    const float* variance = residual.variance.row(v);
-    for (int u = 0; u < width; ++u) {
-      const float squared = value[u] * value[u];
-      const bool usable = squared < 1e18F;  // Not when NaN.
-      excess[static_cast<std::size_t>(u) + 1] = usable ? std::min(squared / variance[u], kExcessMax) : 0.0F;
-      known[static_cast<std::size_t>(u) + 1] = usable ? 1.0F : 0.0F;
-    }
-    float small_row = 0.0F;
-    float pixels_row = 0.0F;
-    for (int u = 1; u <= width; ++u) {
-      small_row += std::min(excess[static_cast<std::size_t>(u)], kSmallExcess);
-      pixels_row += known[static_cast<std::size_t>(u)];
-    }
-    small += small_row;
-    pixels += pixels_row;
-    float* sums = excess_.row(v);
-    float* counts = known_.row(v);
-    for (int u = 0; u < width; ++u) {
-      const float* e = excess.data() + u;
-      const float* k = known.data() + u;
-      sums[u] = e[0] + e[1] + e[2];
-      counts[u] = k[0] + k[1] + k[2];
-    }
+  for (const RowSum& sum : row_sums_) {
+    small += sum.small;
+    pixels += sum.pixels;
   }
-  for (int v = 0; v < height; ++v) {
-    const int above = std::max(v - 1, 0);
-    const int below = std::min(v + 1, height - 1);
-    float* score = score_.row(v);
-    for (int u = 0; u < width; ++u) {
-      const float sum = excess_.at(u, v) + (above < v ? excess_.at(u, above) : 0.0F) + (below > v ? excess_.at(u, below) : 0.0F);
-      const float count = known_.at(u, v) + (above < v ? known_.at(u, above) : 0.0F) + (below > v ? known_.at(u, below) : 0.0F);
-      // Of few neighbours nothing can be said.
-      score[u] = count >= 4.0F ? sum / count : 0.0F;
-    }
-  }
-  if (pixels == 0.0) return;
   // Where the model is off all over (smear, parallax, an underestimated noise), more is needed to stand out.
-  const float misfit = static_cast<float>(small / pixels) / kSmallExcessMean;
-  if (misfit <= 1.0F) return;
-  for (float& score : score_.pixels()) score /= misfit;
+  const float misfit = pixels > 0.0 ? static_cast<float>(small / pixels) / kSmallExcessMean : 1.0F;
+  for_rows([&](int v) { ScoreRow(v, std::max(misfit, 1.0F)); });
 }
 
 void MoverMask::Flag(const View& view, const Roi& roi) {
@@ -250,10 +262,10 @@ void MoverMask::SpreadHidden() {
   }
 }
 
-void MoverMask::Judge(const FrameResidual& residual, const View& view, const Roi& roi, double noise_sigma) {
+void MoverMask::Judge(const FrameResidual& residual, const View& view, const Roi& roi, double noise_sigma, int threads) {
   outvoted_.clear();
   Cover(view, roi);
-  SumUp(residual);
+  SumUp(residual, threads);
   Flag(view, roi);
   if (static_cast<double>(flagged_count_) > kPartMax * static_cast<double>(roi.area())) {
     std::fill(flagged_.pixels().begin(), flagged_.pixels().end(), static_cast<unsigned char>(0));

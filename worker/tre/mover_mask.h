@@ -23,8 +23,8 @@ class MoverMask {
   // Before registration: sets the weights of pixels that `view` puts onto blocks masked in the frame before to 0 (an empty image means all
   // 1). Returns whether there are any.
   bool Hide(const View& view, const Roi& roi, Image<float>* weights) const;
-  // After it: judges every pixel. Afterwards mask() and outvoted() are this frame's.
-  void Judge(const FrameResidual& residual, const View& view, const Roi& roi, double noise_sigma);
+  // After it: judges every pixel. Afterwards mask() and outvoted() are this frame's; they do not depend on `threads`.
+  void Judge(const FrameResidual& residual, const View& view, const Roi& roi, double noise_sigma, int threads);
 
   // 1: masked; size of the ROI.
   const Image<unsigned char>& mask() const { return mask_; }
@@ -47,10 +47,19 @@ class MoverMask {
     unsigned char anew = 0;    // Stamp of the frame that outvoted it.
   };
 
+  // Of a row of pixels: sum of min(excess, kSmallExcess), and how many have one.
+  struct RowSum {
+    float small = 0.0F;
+    float pixels = 0.0F;
+  };
+
   void Cover(const View& view, const Roi& roi);
   // Of the block that holds a cell, in blocks_; -1: not in memory.
   int IndexAt(float cell_x, float cell_y) const;
-  void SumUp(const FrameResidual& residual);
+  // The excess of every pixel, summed along a row; scores from the sums of three rows; both for all rows.
+  void SumRow(const FrameResidual& residual, int v);
+  void ScoreRow(int v, float misfit);
+  void SumUp(const FrameResidual& residual, int threads);
   void Flag(const View& view, const Roi& roi);
   void Vote(const FrameResidual& residual, const View& view, const Roi& roi, double noise_sigma);
   void Dilate();
@@ -62,6 +71,7 @@ class MoverMask {
   Image<float> excess_;  // Squared residual over variance, capped.
   Image<float> known_;   // 1 where there is one.
   Image<float> score_;   // Mean of excess_ over 3 x 3.
+  std::vector<RowSum> row_sums_;
   Image<unsigned char> flagged_;
   Image<unsigned char> mask_;
   std::vector<Block> outvoted_;

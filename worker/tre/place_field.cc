@@ -20,6 +20,12 @@ constexpr double kAgeFactor = 2.2;
 constexpr double kFirstPlaceSigma = 0.07;
 constexpr double kPlaceSigma = 0.15;
 
+// Of what an int holds.
+int Floor(double x) {
+  const int whole = static_cast<int>(x);
+  return x < whole ? whole - 1 : whole;
+}
+
 }  // namespace
 
 PlaceField::PlaceField(const Roi& roi, int ratio, ViewModel model)
@@ -31,8 +37,11 @@ PlaceField::PlaceField(const Roi& roi, int ratio, ViewModel model)
 PlaceField::Texture PlaceField::Measure(const Observation& observation, const Reference& reference, const View& view) const {
   const Image<float>& prediction = *reference.prediction;
   const Roi& roi = observation.roi;
+  const PlanarMap& map = view.scene_from_sensor;
   const double per_sample = static_cast<double>(stride_) * stride_;
   const double scale = view.gain * view.gain / (observation.noise_sigma * observation.noise_sigma);
+  const double blocks_x = 1.0 / block_width_;
+  const double blocks_y = 1.0 / block_height_;
   Texture texture;
   const auto block_at = [&texture](int x, int y) -> BlockTexture& {
     // Successive pixels mostly lie in one block.
@@ -43,26 +52,32 @@ PlaceField::Texture PlaceField::Measure(const Observation& observation, const Re
     return texture.back();
   };
   for (int v = stride_ / 2; v < roi.height(); v += stride_) {
+    const Eigen::Vector2d first(roi.x0, roi.y0 + v);
+    const Eigen::Vector2d start = map.linear * first + map.offset;
+    const double depth = map.Depth(first);
     for (int u = stride_ / 2; u < roi.width(); u += stride_) {
       const double weight = std::isnan(observation.roi_pixels->at(u, v)) ? 0.0 : static_cast<double>(observation.weight(u, v));
       if (!(weight > 0.0)) continue;
-      const Eigen::Vector2d pixel(roi.x0 + u, roi.y0 + v);
-      const Eigen::Vector2d cell = view.scene_from_sensor * pixel;
-      const double column = std::round(cell.x() - reference.x0);
-      const double row = std::round(cell.y() - reference.y0);
-      if (!(column >= 1.0 && row >= 1.0 && column <= prediction.width() - 2.0 && row <= prediction.height() - 2.0)) continue;
+      const double inverse = 1.0 / (depth + u * map.perspective.x());
+      const double cell_x = (start.x() + u * map.linear(0, 0)) * inverse;
+      const double cell_y = (start.y() + u * map.linear(1, 0)) * inverse;
+      const double column = cell_x - reference.x0 + 0.5;
+      const double row = cell_y - reference.y0 + 0.5;
+      if (!(column >= 1.0 && row >= 1.0 && column < prediction.width() - 1.0 && row < prediction.height() - 1.0)) continue;
       const int x = static_cast<int>(column);
       const int y = static_cast<int>(row);
-      BlockTexture& block =
-          block_at(static_cast<int>(std::floor(cell.x() / block_width_)), static_cast<int>(std::floor(cell.y() / block_height_)));
-      const Eigen::Vector2d gradient(0.5F * (prediction.at(x + 1, y) - prediction.at(x - 1, y)),
-                                     0.5F * (prediction.at(x, y + 1) - prediction.at(x, y - 1)));
+      BlockTexture& block = block_at(Floor(cell_x * blocks_x), Floor(cell_y * blocks_y));
+      const float* const centre = prediction.row(y) + x;
+      const double slope_x = 0.5F * (centre[1] - centre[-1]);
+      const double slope_y = 0.5F * (centre[prediction.width()] - centre[-prediction.width()]);
       const double pixels = per_sample * weight;
       block.pixels += pixels;
-      const Eigen::Matrix2d information = pixels * scale * gradient * gradient.transpose();
+      Eigen::Matrix2d information;
+      information << slope_x * slope_x, slope_x * slope_y, slope_x * slope_y, slope_y * slope_y;
+      information *= pixels * scale;
       block.information += information;
-      block.contrast += scale * gradient.squaredNorm() * information;
-      block.centre += pixels * pixel;
+      block.contrast += scale * (slope_x * slope_x + slope_y * slope_y) * information;
+      block.centre += pixels * Eigen::Vector2d(roi.x0 + u, roi.y0 + v);
       const double seen = reference.seen->at(x, y);
       if (seen >= reference.seen_min && seen > 0.0) block.registered += pixels * seen / (seen + 1.0);
     }

@@ -11,10 +11,10 @@ namespace trem {
 struct SceneBuffer {
   Roi extent;
   Image<float> scene;       // S, internal grey levels.
-  Image<float> previous;    // S before the last iteration (Nesterov's momentum).
+  Image<float> previous;    // What the last iteration made, from which Nesterov's momentum has carried S on.
   Image<float> weight;      // W: accumulated weight of the samples splatted to each cell, 1 a sample of unit gain.
   Image<float> weighted;    // Z: accumulated weight * value.
-  Image<float> prediction;  // B S.
+  Image<float> prediction;  // B S, the PSF's radius around what has been iterated included.
   Image<float> filled;      // Where the scene's first value came from: one of the constants below.
   Image<float> majoriser;   // B W: the data term's curvature bound (see InformationUpdate).
   Image<float> seen;        // Weight of the samples within a sensor pixel: about how many frames have seen each cell; 0: none.
@@ -29,6 +29,8 @@ struct SceneBuffer {
   // `region` of the scene plane in buffer coordinates, clipped to the buffer.
   Roi InBuffer(const Roi& region_in_scene) const;
 };
+
+inline Roi Grown(const Roi& roi, int by) { return {roi.x0 - by, roi.y0 - by, roi.x1 + by, roi.y1 + by}; }
 
 // The smallest rectangle that holds both.
 inline Roi Union(const Roi& a, const Roi& b) {

@@ -38,6 +38,8 @@ constexpr double kPhotometryMemory = 0.98;
 // Automatic forgetting: the memory, in frames, over the frames for which the ROI covers a piece of ground; and its bounds.
 constexpr double kMemoryPerDwell = 1.0;
 constexpr double kForgettingMin = 0.95;
+// A ROI that dwells forgets so little a frame that it is left to add up to this.
+constexpr double kForgettingStep = 0.005;
 constexpr double kProgressRate = 0.1;
 // POINTWISE: steps of the other schemes that one of its sweeps is worth, about.
 constexpr int kStepsPerSweep = 4;
@@ -83,20 +85,27 @@ Roi RoundedOut(const Roi& roi, int step) {
   return {down(roi.x0), down(roi.y0), down(roi.x1 + step - 1), down(roi.y1 + step - 1)};
 }
 
-bool Overlap(const Roi& a, const std::vector<Roi>& parts) {
-  return std::any_of(parts.begin(), parts.end(), [&a](const Roi& part) { return !Intersect(a, part).empty(); });
+// Cells of `a` that lie in `parts`.
+long long CellsIn(const Roi& a, const std::vector<Roi>& parts) {
+  long long cells = 0;
+  for (const Roi& part : parts) cells += std::max(Intersect(a, part).area(), 0LL);
+  return cells;
 }
 
-// `now` without `before`, in rectangles that do not overlap.
-std::vector<Roi> Difference(const Roi& now, const Roi& before) {
-  const Roi shared = Intersect(now, before);
-  if (shared.empty()) return {now};
-  std::vector<Roi> rest;
-  for (const Roi& part : {Roi{now.x0, now.y0, now.x1, shared.y0}, Roi{now.x0, shared.y1, now.x1, now.y1},
-                          Roi{now.x0, shared.y0, shared.x0, shared.y1}, Roi{shared.x1, shared.y0, now.x1, shared.y1}}) {
-    if (!part.empty()) rest.push_back(part);
+// Joins rectangles that are filtered faster as one: a row of a rectangle costs about as much as some cells beside it.
+std::vector<Roi> Joined(std::vector<Roi> parts) {
+  constexpr long long kRowCells = 32;
+  const auto cost = [](const Roi& roi) { return roi.height() * (roi.width() + kRowCells); };
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    for (std::size_t k = i + 1; k < parts.size(); ++k) {
+      const Roi both = Union(parts[i], parts[k]);
+      if (cost(both) > cost(parts[i]) + cost(parts[k])) continue;
+      parts[i] = both;
+      parts.erase(parts.begin() + static_cast<std::ptrdiff_t>(k));
+      k = i;  // What is larger now may take in others.
+    }
   }
-  return rest;
+  return parts;
 }
 
 // What of `now` lies beyond one side of `before`.
@@ -183,7 +192,7 @@ void Segment::Iterate(const Roi& region, int iterations, StructureWeight weight)
     const bool by_user = options_.iterations > 0 && iterations == options_.iterations;
     if (options_.update == UpdateMethod::kPointwise && !by_user) iterations = (iterations + kStepsPerSweep - 1) / kStepsPerSweep;
     scheme_->Iterate(region, iterations, prior, lambda, &buffer_);
-    update_.Predict(region, &buffer_);
+    update_.Predict(Grown(region, update_.psf().radius()), &buffer_);
     return;
   }
   update_.set_prior(prior);
@@ -219,7 +228,7 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
   if (!mask_movers && options_.detector_bias == Correction::kOff) return own;
   residual_.Compute(ObservationOf(frame, roi_, noise_sigma), view_, buffer_, options_.threads);
   if (!mask_movers) return own;
-  movers_.Judge(residual_, view_, roi_, noise_sigma);
+  movers_.Judge(residual_, view_, roi_, noise_sigma, options_.threads);
   for (const MoverMask::Block& block : movers_.outvoted()) {
     const int ratio = options_.ratio;
     const Roi ground{block.x * ratio, block.y * ratio, (block.x + 1) * ratio, (block.y + 1) * ratio};
@@ -253,26 +262,27 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
 
 std::vector<Roi> Segment::FillNew(const FrameInput& frame, const View& view, const Roi& region) {
   std::vector<Roi> filled = FillUnseen(frame, RoiOf(frame), view, region, &buffer_, &continued_);
-  // The last iteration left the prediction of what it moved; around it the scene's blur has changed, too.
-  for (const Roi& part : Difference(region, last_region_)) update_.Predict(part, &buffer_);
   const Roi& e = buffer_.extent;
-  const int reach = update_.psf().radius();
-  for (Roi& part : filled) {
-    part = {part.x0 + e.x0, part.y0 + e.y0, part.x1 + e.x0, part.y1 + e.y0};
-    update_.Predict(Intersect(region, {part.x0 - reach, part.y0 - reach, part.x1 + reach, part.y1 + reach}), &buffer_);
-  }
+  for (Roi& part : filled) part = {part.x0 + e.x0, part.y0 + e.y0, part.x1 + e.x0, part.y1 + e.y0};
+  std::vector<Roi> stale;
+  for (const Roi& part : filled) stale.push_back(Grown(part, update_.psf().radius()));
+  for (const Roi& part : Joined(std::move(stale))) update_.Predict(part, &buffer_);
   return filled;
 }
 
 void Segment::IterateNewGround(const Roi& region, const std::vector<Roi>& filled, StructureWeight weight) {
   const std::array<Advance, 4> sides = NewGround(last_region_, region);
   for (std::size_t k = 0; k < sides.size(); ++k) {
-    if (sides[k].cells == 0 || !Overlap(sides[k].strip, filled)) continue;
-    fresh_cells_[k] += sides[k].cells;
+    const Roi& strip = sides[k].strip;
+    const long long cells = CellsIn(strip, filled);
+    if (sides[k].cells == 0 || cells == 0) continue;
+    // A line that comes in gives two lines of cells a value: its own, and one that the frame has measured now instead of continued. A ROI
+    // that sways back over what it has seen does not.
+    fresh_lines_[k] += static_cast<double>(cells) / (2.0 * std::max(strip.width(), strip.height()));
     // Frames that are kept make the picture anew in the end: a line of cells, on which there may be no sample yet, is left to later ones.
-    if (kept_ && fresh_cells_[k] < options_.ratio) continue;
-    fresh_cells_[k] = 0;
-    Iterate(sides[k].strip, kNewGroundIterations, weight);
+    if (kept_ && fresh_lines_[k] < options_.ratio) continue;
+    fresh_lines_[k] = 0.0;
+    Iterate(strip, kNewGroundIterations, weight);
   }
 }
 
@@ -280,7 +290,10 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
   const Roi region = RegionOf(view);
   regularisation_.Learn(observation, view);
   const std::vector<Roi> filled = FillNew(frame, view, region);
-  update_.set_forgetting(Forgetting());
+  pending_forgetting_ *= Forgetting();
+  const bool due = 1.0 - pending_forgetting_ >= kForgettingStep;
+  update_.set_forgetting(due ? pending_forgetting_ : 1.0);
+  if (due) pending_forgetting_ = 1.0;
   update_.AddFrame(observation, view, region, &buffer_);
   if (kept_) {
     KeptFrame kept{frame.frame_index, observation.roi, observation.noise_sigma, frame.pixels, {}, view};

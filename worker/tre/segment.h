@@ -145,8 +145,10 @@ class Segment {
   Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();   // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.
   std::vector<ChainEntry> revised_;
-  Roi last_region_;                      // Footprint of the last frame: where the prediction is that of the present scene.
-  std::array<int, 4> fresh_cells_ = {};  // By which each side (left, right, top, bottom) came in and was not iterated for itself yet.
+  Roi last_region_;  // Footprint of the last frame: where the prediction is that of the present scene.
+  std::array<double, 4> fresh_lines_ =
+      {};                            // Of cells that each side (left, right, top, bottom) has brought in and that were not iterated yet.
+  double pending_forgetting_ = 1.0;  // Of frames, that is not applied to the buffer yet.
   int frame_count_ = 0;
   int skipped_ = 0;
   FrameResidual residual_;

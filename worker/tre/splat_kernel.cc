@@ -9,6 +9,7 @@
 #define HWY_TARGET_INCLUDE "worker/tre/splat_kernel.cc"
 #include <hwy/foreach_target.h>
 // After foreach_target.h, which includes this file again for every target.
+#include "worker/sensor/bicubic-inl.h"
 #include "worker/sensor/filter_rows-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -121,20 +122,25 @@ HWY_INLINE void Fetch(const SplatPlanes& planes, int count, Chunk* chunk) {
   const float* const prediction = planes.prediction->row(0);
   const float* const seen = planes.seen->row(0);
   const std::ptrdiff_t width = planes.prediction->width();
-  for (int i = 0; i < count; ++i) {
-    const float* p = prediction + chunk->first[i];
-    const float* w = chunk->y_weights + 4 * i;
 #if HWY_TARGET == HWY_SCALAR
-    for (int k = 0; k < 4; ++k) {
-      chunk->columns[4 * i + k] = ((w[0] * p[k] + w[1] * p[k + width]) + w[2] * p[k + 2 * width]) + w[3] * p[k + 3 * width];
-    }
+  for (int i = 0; i < 4 * count; ++i) {
+    const float* p = prediction + chunk->first[i / 4] + i % 4;
+    const float* w = chunk->y_weights + i / 4 * 4;
+    chunk->columns[i] = ((w[0] * p[0] + w[1] * p[width]) + w[2] * p[2 * width]) + w[3] * p[3 * width];
+  }
 #else
-    const hn::FixedTag<float, 4> d;
-    auto sum = hn::Mul(hn::Set(d, w[0]), hn::LoadU(d, p));
-    sum = hn::MulAdd(hn::Set(d, w[1]), hn::LoadU(d, p + width), sum);
-    sum = hn::MulAdd(hn::Set(d, w[2]), hn::LoadU(d, p + 2 * width), sum);
-    hn::Store(hn::MulAdd(hn::Set(d, w[3]), hn::LoadU(d, p + 3 * width), sum), d, chunk->columns + 4 * i);
+  const Supports d;
+  // Beyond the last pixel of a group the places are those of pixels that are not used.
+  for (int i = 0; i < count; i += kSupports) {
+    const int* const first = chunk->first + i;
+    const auto w = hn::Load(d, chunk->y_weights + 4 * i);
+    auto sum = hn::Mul(hn::Broadcast<0>(w), LoadSupports(d, prediction, first));
+    sum = hn::MulAdd(hn::Broadcast<1>(w), LoadSupports(d, prediction + width, first), sum);
+    sum = hn::MulAdd(hn::Broadcast<2>(w), LoadSupports(d, prediction + 2 * width, first), sum);
+    hn::Store(hn::MulAdd(hn::Broadcast<3>(w), LoadSupports(d, prediction + 3 * width, first), sum), d, chunk->columns + 4 * i);
+  }
 #endif
+  for (int i = 0; i < count; ++i) {
     const int cell = std::max(chunk->cell[i], 0);
     chunk->centre[i] = prediction[cell];
     chunk->seen[i] = seen[cell];

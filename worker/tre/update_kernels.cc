@@ -11,14 +11,12 @@
 HWY_BEFORE_NAMESPACE();
 namespace trem::HWY_NAMESPACE {
 
-void ExtrapolateRowTarget(const float* now, const float* before, float momentum, int count, float* line) {
+void ResidualRowTarget(const float* predicted, const float* w, const float* z, int count, float* line) {
   const hn::ScalableTag<float> d;
-  const std::size_t lanes = hn::Lanes(d);
   const std::size_t end = static_cast<std::size_t>(count);
-  const auto factor = hn::Set(d, momentum);
-  for (std::size_t x = 0; x < end; x += lanes) {
-    const auto value = LoadUpTo(d, now + x, end - x);
-    hn::StoreU(hn::MulAdd(factor, hn::Sub(value, LoadUpTo(d, before + x, end - x)), value), d, line + x);
+  for (std::size_t x = 0; x < end; x += hn::Lanes(d)) {
+    const std::size_t rest = end - x;
+    hn::StoreU(hn::MulSub(LoadUpTo(d, w + x, rest), LoadUpTo(d, predicted + x, rest), LoadUpTo(d, z + x, rest)), d, line + x);
   }
 }
 
@@ -52,7 +50,7 @@ void StepRowsTarget(const FilterBlock& block, const StepBlock& step) {
   const V low = hn::Set(d, -step.weights.limit);
   const V lambda = hn::Set(d, step.weights.lambda);
   const V damping = hn::Set(d, step.weights.damping);
-  const V momentum = hn::Set(d, step.next_momentum);
+  const V momentum = hn::Set(d, step.momentum);
   const auto slope = [=](V a, V b) HWY_ATTR { return hn::Min(hn::Max(hn::Sub(a, b), low), high); };
   const auto at_border = [=](int border, int x, V start, V neighbour) HWY_ATTR {
     if (HWY_LIKELY(border < x || border >= x + lanes)) return neighbour;
@@ -72,8 +70,7 @@ void StepRowsTarget(const FilterBlock& block, const StepBlock& step) {
       const V curvature = hn::Add(LoadUpTo(d, row.majoriser + x, rest), damping);
       const V next = hn::NegMulAdd(gradient, InverseFromBelow(d, curvature), start);
       hn::StoreU(next, d, row.out + x);
-      if (row.next_start == nullptr) return;
-      hn::StoreU(hn::MulAdd(momentum, hn::Sub(next, LoadUpTo(d, row.now + x, rest)), next), d, row.next_start + x);
+      hn::StoreU(hn::MulAdd(momentum, hn::Sub(next, LoadUpTo(d, row.previous + x, rest)), next), d, row.next_start + x);
     };
   });
 }
@@ -249,7 +246,7 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace trem {
 
-HWY_EXPORT(ExtrapolateRowTarget);
+HWY_EXPORT(ResidualRowTarget);
 HWY_EXPORT(ResidualRowsTarget);
 HWY_EXPORT(StepRowsTarget);
 HWY_EXPORT(ScaleRowTarget);
@@ -260,8 +257,8 @@ HWY_EXPORT(FindUnlikeTarget);
 HWY_EXPORT(SumTextureTarget);
 HWY_EXPORT(SeenRowTarget);
 
-void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line) {
-  HWY_DYNAMIC_DISPATCH(ExtrapolateRowTarget)(now, before, momentum, count, line);
+void ResidualRow(const float* predicted, const float* w, const float* z, int count, float* line) {
+  HWY_DYNAMIC_DISPATCH(ResidualRowTarget)(predicted, w, z, count, line);
 }
 
 void ResidualRows(const FilterBlock& block, const float* const* w, const float* const* z, float* const* out) {

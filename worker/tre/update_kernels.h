@@ -8,8 +8,8 @@ namespace trem {
 // last one in use; rows of images are read and written within [0, count) only. The order of operations for a cell is fixed, so its value
 // depends neither on the vector's width nor on how a region is cut into tiles.
 
-// line[x] = now[x] + momentum * (now[x] - before[x]).
-void ExtrapolateRow(const float* now, const float* before, float momentum, int count, float* line);
+// line[x] = w[x] * predicted[x] - z[x]; rows of images.
+void ResidualRow(const float* predicted, const float* w, const float* z, int count, float* line);
 
 // Rows of the residual: out[i][x] = w[i][x] * filtered - z[i][x], row i of `block` filtered. Pointers are to column 0 of the image; `w` and
 // `z` are rows of images, `out` lines.
@@ -17,14 +17,13 @@ void ResidualRows(const FilterBlock& block, const float* const* w, const float* 
 
 // One row of the step that follows; pointers are to column 0 of the image.
 struct StepRow {
-  const float* start = nullptr;  // Line: the extrapolated scene, one cell to either side of the block's columns, too.
+  const float* start = nullptr;  // Line: the scene that the step begins with, one cell to either side of the block's columns, too.
   const float* above = nullptr;  // Its rows above and below; `start` itself at the region's border.
   const float* below = nullptr;
   const float* majoriser = nullptr;  // Row of an image.
-  float* out = nullptr;              // Line: the new scene.
-  // Of the step after this one: line[x] = out[x] + momentum * (out[x] - now[x]); null: there is none.
-  float* next_start = nullptr;
-  const float* now = nullptr;  // Line or row of an image: the scene that this step began with.
+  float* out = nullptr;              // Line: what the step makes of it.
+  const float* previous = nullptr;   // Line or row of an image: what the step before this one made.
+  float* next_start = nullptr;       // Line: what the step after this one begins with, out + momentum * (out - previous).
 };
 
 struct StepWeights {
@@ -39,7 +38,7 @@ struct StepBlock {
   StepWeights weights;
   int left_border = -1;   // Column that is the region's first, it has no difference to its left; -1: none of them.
   int right_border = -1;  // Its last.
-  float next_momentum = 0.0F;
+  float momentum = 0.0F;
 };
 
 // out = start - (B residual + lambda * sum over 4 neighbours of clamp(start - neighbour, limit)) / (majoriser + damping), row i of `block`

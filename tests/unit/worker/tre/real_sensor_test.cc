@@ -214,7 +214,8 @@ TEST(MoverMask, AMoverOfTheFirstFramesLeavesNoGhost) {
   const double after = ErrorNear(sequence, filtered, made, 3, 42.0, 37.0, 9.0);
   const double best = ErrorNear(sequence, filtered, clean, 3, 42.0, 37.0, 9.0);
   EXPECT_GT(before, 2.0 * best) << "the mover has to have left something for this test to mean anything";
-  EXPECT_LT(after, 0.5 * before) << before << " without the mask, " << best << " without the mover";
+  // Of what the mover adds to the error, which falls when the unmasked engine forgets it faster, too.
+  EXPECT_LT(after - best, 0.13 * (before - best)) << after << ", " << before << " without the mask, " << best << " without the mover";
   EXPECT_EQ(made.result.segments.size(), 1U);
 }
 
