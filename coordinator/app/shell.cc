@@ -117,6 +117,10 @@ void Shell::Take(const Effect& effect) {
     ToProto(cancel->attempt, envelope.mutable_cancel_task()->mutable_attempt());
     envelope.mutable_cancel_task()->set_reason(cancel->reason);
     SendToWorker(cancel->worker_id, std::move(envelope));
+  } else if (const auto* share = std::get_if<ShareEffect>(&effect)) {
+    ToProto(share->attempt, envelope.mutable_share()->mutable_attempt());
+    envelope.mutable_share()->set_processors(share->processors);
+    SendToWorker(share->worker_id, std::move(envelope));
   } else if (const auto* drain = std::get_if<DrainWorkerEffect>(&effect)) {
     envelope.mutable_drain()->set_reason("asked to by a client");
     SendToWorker(drain->worker_id, std::move(envelope));

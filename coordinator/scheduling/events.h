@@ -107,6 +107,12 @@ struct CancelTaskEffect {
   Attempt attempt;
   std::string reason;
 };
+// How many processors the attempt may use from now on. Until it is told, and after each Hello, a worker uses one.
+struct ShareEffect {
+  std::string worker_id;
+  Attempt attempt;
+  std::uint32_t processors = 1;
+};
 struct DrainWorkerEffect {
   std::string worker_id;
 };
@@ -120,6 +126,7 @@ struct LogEffect {
   std::string task_key;
 };
 
-using Effect = std::variant<AppendEffect, DispatchEffect, AckEffect, CancelTaskEffect, DrainWorkerEffect, JobChangedEffect, LogEffect>;
+using Effect =
+    std::variant<AppendEffect, DispatchEffect, AckEffect, CancelTaskEffect, ShareEffect, DrainWorkerEffect, JobChangedEffect, LogEffect>;
 
 }  // namespace trem

@@ -15,6 +15,7 @@ std::vector<Effect> Scheduler::Step(TimeMs now_ms, const Event& event) {
   std::visit([this](const auto& e) { On(e); }, event);
   DispatchReady();
   if (std::holds_alternative<TickEvent>(event)) HedgeStragglers();
+  ShareProcessors();
   return std::move(effects_);
 }
 
@@ -66,6 +67,7 @@ void Scheduler::On(const WorkerHelloEvent& event) {
     worker.pid = event.pid;
     worker.credit = event.credit;
     worker.memory_bytes_max = event.memory_bytes_max;
+    for (auto& [key, slot] : worker.slots) slot.processors = 1;  // It has forgotten what it was told.
   });
   memory_limits_.insert(MemoryLimit(event.memory_bytes_max));
   ++hosts_[event.host].worker_count;

@@ -36,6 +36,7 @@ namespace trem {
 //  - A task has one leased attempt; near the end of a stage a straggler gets a second one beside it. The first result ends the other.
 //  - A revoked attempt keeps its worker's slot until the worker reports it done, or is silent about it for a lease: a worker that hangs
 //    gets nothing new.
+//  - A worker that has nothing to do lends its processor to what runs on its host: every attempt there is told how many it may use.
 //  - The first result of a key is committed. A later one with the same outputs is nothing; with others it is a note to all its jobs.
 //  - A failed task is tried again after a delay that grows, on another worker when there is one; SchedulerOptions says how often. Then it
 //    is given up: a window or tile becomes a hole of its jobs, anything else fails them. kInvalidInput is never tried again.
@@ -147,18 +148,23 @@ class Scheduler {
     bool live = true;          // False: revoked; the worker has been told so.
     TimeMs held_until_ms = 0;  // When not live: the slot is free then.
     std::uint64_t memory_bytes = 0;
+    std::uint32_t processors = 1;  // What the worker was told.
   };
   struct Worker {
     std::string host;
     std::uint32_t pid = 0;
-    std::uint32_t credit = 1;
+    std::uint32_t credit = 0;
     std::uint64_t memory_bytes_max = 0;
     bool is_draining = false;
     std::map<std::string, Slot> slots;  // Task key -> what the worker has of it.
   };
   struct Host {
     std::uint32_t worker_count = 0;
-    ReadyKey last;  // What it was given last.
+    ReadyKey last;            // What it was given last.
+    std::uint32_t idle = 0;   // Slots of its workers that are free,
+    std::uint32_t busy = 0;   // and that are not.
+    std::uint32_t share = 1;  // Processors that each of its attempts may use.
+    std::set<std::string> busy_workers;
   };
   struct User {
     std::uint32_t running = 0;
@@ -244,11 +250,18 @@ class Scheduler {
   void ChangeWorker(const std::string& worker_id, Change change) {
     Worker& worker = workers_.at(worker_id);
     idle_.erase({FreeMemory(worker), worker.slots.size(), worker_id});
+    LeaveHost(worker_id, worker);
     change(worker);
+    EnterHost(worker_id, worker);
     if (!worker.is_draining && worker.slots.size() < worker.credit + (TREM_PLANTED(kIgnoresCredit) ? 1 : 0))
       idle_.insert({FreeMemory(worker), worker.slots.size(), worker_id});
   }
   static std::uint64_t MemoryLimit(std::uint64_t memory_bytes_max) { return memory_bytes_max == 0 ? ~std::uint64_t{0} : memory_bytes_max; }
+  // Takes what the worker has free and in use out of its host's sums, and puts it there again.
+  void LeaveHost(const std::string& worker_id, const Worker& worker);
+  void EnterHost(const std::string& worker_id, const Worker& worker);
+  // Tells the attempts of hosts that have changed how many processors they may use.
+  void ShareProcessors();
   static std::uint64_t FreeMemory(const Worker& worker);
   void LeaveOrder(const std::string& name, const User& user);
   void EnterOrder(const std::string& name, User* user);
@@ -288,6 +301,7 @@ class Scheduler {
   std::set<IdleRank> idle_;                                            // Workers with credit left.
   std::multiset<std::uint64_t> memory_limits_;                         // Of all workers.
   std::map<std::string, Host> hosts_;
+  std::set<std::string> changed_hosts_;                                      // Since ShareProcessors.
   std::map<std::tuple<JobNumber, int, std::uint32_t>, std::string> groups_;  // Job, kind, locality -> the host that began it.
 };
 

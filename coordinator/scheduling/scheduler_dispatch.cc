@@ -1,6 +1,7 @@
 // The part of Scheduler that decides which task goes where: queues, fair share, placement, hedges.
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "coordinator/scheduling/planted_fault.h"
 #include "coordinator/scheduling/scheduler.h"
@@ -16,6 +17,8 @@ constexpr int kStragglersLookedAt = 64;
 constexpr int kIdleLookedAt = 8;
 // How often a task that failed waits for a worker on which it has not.
 constexpr std::uint32_t kWaitsMax = 5;
+// Of a host with more running tasks than this, none is lent a processor: it would be told to all of them again and again.
+constexpr std::uint32_t kSharersMax = 64;
 
 bool Contains(const std::vector<std::string>& list, const std::string& text) {
   return std::find(list.begin(), list.end(), text) != list.end();
@@ -167,6 +170,45 @@ void Scheduler::Dispatch(const std::string& worker_id, TaskIndex index, bool is_
   groups_.try_emplace({key.job, key.kind, key.locality}, host);
   const JobPlace& place = task.wanted_by.front();
   effects_.push_back(DispatchEffect{worker_id, jobs_.at(place.job).graph->Spec(place.place), number, options_.lease_ms});
+}
+
+// ---- Processors ------------------------------------------------------------------------------------------------------------------
+
+void Scheduler::LeaveHost(const std::string& worker_id, const Worker& worker) {
+  const auto host = hosts_.find(worker.host);
+  if (host == hosts_.end()) return;
+  const auto used = static_cast<std::uint32_t>(worker.slots.size());
+  host->second.idle -= worker.is_draining ? 0 : worker.credit - std::min(worker.credit, used);
+  host->second.busy -= used;
+  host->second.busy_workers.erase(worker_id);
+}
+
+void Scheduler::EnterHost(const std::string& worker_id, const Worker& worker) {
+  Host& host = hosts_[worker.host];
+  const auto used = static_cast<std::uint32_t>(worker.slots.size());
+  host.idle += worker.is_draining ? 0 : worker.credit - std::min(worker.credit, used);
+  host.busy += used;
+  if (used > 0) host.busy_workers.insert(worker_id);
+  changed_hosts_.insert(worker.host);
+}
+
+void Scheduler::ShareProcessors() {
+  for (const std::string& name : std::exchange(changed_hosts_, {})) {
+    const auto found = hosts_.find(name);
+    if (found == hosts_.end()) continue;
+    Host& host = found->second;
+    const std::uint32_t share = host.busy > 0 && host.busy <= kSharersMax ? 1 + host.idle / host.busy : 1;
+    // All that run there have one, and keep it: nearly always.
+    if (share == 1 && std::exchange(host.share, share) == 1) continue;
+    host.share = share;
+    for (const std::string& worker_id : host.busy_workers) {
+      for (auto& [key, slot] : workers_.at(worker_id).slots) {
+        if (!slot.live || slot.processors == share) continue;
+        slot.processors = share;
+        effects_.push_back(ShareEffect{worker_id, {key, slot.attempt}, share});
+      }
+    }
+  }
 }
 
 // ---- Hedges -----------------------------------------------------------------------------------------------------------------------

@@ -1,14 +1,17 @@
 #include "mosaic/align/align.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <map>
+#include <mutex>
 #include <set>
 #include <sstream>
 
 #include "mosaic/align/align_state.h"
 #include "mosaic/align/relief.h"
 #include "mosaic/align/solver.h"
+#include "mosaic/base/parallel.h"
 
 namespace trem::align {
 namespace {
@@ -24,17 +27,29 @@ Eigen::Vector2d CentreOf(const Roi& roi) { return {0.5 * (roi.x0 + roi.x1 - 1), 
 // The features of the scenes that take part in content ties.
 class ContentRounds {
  public:
-  ContentRounds(const AlignGraph& graph, const FeatureSource& source) : graph_(graph), source_(source) {}
+  ContentRounds(const AlignGraph& graph, const FeatureSource& source, int threads) : graph_(graph), source_(source), threads_(threads) {}
 
   Status Extract(const std::function<bool()>& progress) {
     features_.resize(graph_.scenes.size());
     takes_part_.assign(graph_.scenes.size(), false);
     const std::size_t limit = static_cast<std::size_t>(options_.scenes_max);
     const std::size_t step = (graph_.scenes.size() + limit - 1) / limit;
-    for (std::size_t s = 0; s < graph_.scenes.size(); s += std::max<std::size_t>(1, step)) {
-      if (!progress()) return Cancelled("the alignment was stopped on request");
-      TREM_ASSIGN_OR_RETURN(features_[s], source_(graph_, static_cast<int>(s)));
-      takes_part_[s] = static_cast<int>(features_[s].x_in_scene.size()) >= options_.inliers_min;
+    std::vector<std::size_t> scenes;
+    for (std::size_t s = 0; s < graph_.scenes.size(); s += std::max<std::size_t>(1, step)) scenes.push_back(s);
+    std::vector<Status> statuses(scenes.size());
+    ForEachIndex(threads_, static_cast<int>(scenes.size()), [&](int index, int) {
+      const auto k = static_cast<std::size_t>(index);
+      if (!progress()) {
+        statuses[k] = Cancelled("the alignment was stopped on request");
+        return;
+      }
+      Result<SceneFeatures> features = source_(graph_, static_cast<int>(scenes[k]));
+      statuses[k] = features.status();
+      if (features.ok()) features_[scenes[k]] = std::move(*features);
+    });
+    for (std::size_t k = 0; k < scenes.size(); ++k) {
+      TREM_RETURN_IF_ERROR(statuses[k]);
+      takes_part_[scenes[k]] = static_cast<int>(features_[scenes[k]].x_in_scene.size()) >= options_.inliers_min;
     }
     return {};
   }
@@ -48,13 +63,22 @@ class ContentRounds {
 
   // Adds the ties of one round to `ties`; the number of new ones.
   Result<int> Find(const AlignState& state, const std::function<bool()>& progress, std::vector<ContentTie>& ties) {
-    int found = 0;
-    for (const auto& pair : CandidatePairs(graph_, state, takes_part_, options_)) {
-      if (!tried_.insert(pair).second) continue;
-      if (!progress()) return Cancelled("the alignment was stopped on request");
-      const auto [a, b] = pair;
-      std::optional<ContentTie> tie =
+    std::vector<std::pair<int, int>> pairs = CandidatePairs(graph_, state, takes_part_, options_);
+    std::erase_if(pairs, [&](const std::pair<int, int>& pair) { return !tried_.insert(pair).second; });
+    std::vector<std::optional<ContentTie>> matched(pairs.size());
+    std::atomic<bool> is_stopped{false};
+    ForEachIndex(threads_, static_cast<int>(pairs.size()), [&](int index, int) {
+      const auto [a, b] = pairs[static_cast<std::size_t>(index)];
+      if (is_stopped || !progress()) {
+        is_stopped = true;
+        return;
+      }
+      matched[static_cast<std::size_t>(index)] =
           MatchFeatures(a, features_[static_cast<std::size_t>(a)], b, features_[static_cast<std::size_t>(b)], graph_.input.ratio, options_);
+    });
+    if (is_stopped) return Cancelled("the alignment was stopped on request");
+    int found = 0;
+    for (std::optional<ContentTie>& tie : matched) {
       if (!tie || !Credible(*tie, state)) continue;
       ties.push_back(std::move(*tie));
       ++found;
@@ -81,6 +105,7 @@ class ContentRounds {
 
   const AlignGraph& graph_;
   const FeatureSource& source_;
+  const int threads_;
   ContentOptions options_;
   std::vector<SceneFeatures> features_;
   std::vector<bool> takes_part_;
@@ -292,8 +317,7 @@ std::string GaugeText(const AlignGraph& graph, const AlignOptions& options, cons
   if (solution.georeferenced) {
     text << "telemetry: one shared error of position (sigma " << graph.input.position_sigma_m << " m) and attitude (sigma "
          << graph.input.attitude_sigma_rad * 57.29577951308232 << " deg), and a deviation of each frame from it (sigma "
-         << std::max(options.position_white_min_m, options.position_white_fraction * graph.input.position_sigma_m)
-         << " m); the ground is ";
+         << std::max(options.position_white_min_m, options.position_white_fraction * graph.input.position_sigma_m) << " m); the ground is ";
     if (graph.input.ground && graph.input.ground->spacing() > 0.0) {
       text << "a surface between " << graph.input.ground->lowest_m() << " and " << graph.input.ground->highest_m() << " m";
     } else {
@@ -321,7 +345,9 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   if (graph.scenes.empty()) return Failed("there is no enhanced scene to align");
   AlignSolution solution;
   double done = 0.0;
+  std::mutex mutex;  // Threads report one at a time.
   const auto tick = [&] {
+    const std::lock_guard lock(mutex);
     done = std::min(0.95, done + 0.002);
     return !progress || progress(done);
   };
@@ -336,7 +362,7 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   if (features || hilly) TREM_RETURN_IF_ERROR(solve(false).status());
   std::vector<SceneLevels> levels(graph.scenes.size());
   if (features) {
-    ContentRounds rounds(graph, features);
+    ContentRounds rounds(graph, features, options.threads);
     TREM_RETURN_IF_ERROR(rounds.Extract(tick));
     levels = rounds.TakeLevels();
     for (int round = 0; round < kContentRounds; ++round) {

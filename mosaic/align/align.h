@@ -68,12 +68,13 @@ struct AlignSolution {
   Lens lens;
   Vignetting vignetting;
   int level_tie_count = 0;  // Pairs of scenes whose brightness was compared on the ground.
-  int join_count = 0;  // Pieces joined by content.
+  int join_count = 0;       // Pieces joined by content.
   double tie_rms_px = 0.0;
   double variance_factor = 1.0;
 };
 
-// Gives the features of scene `index` of `graph`, or nothing when the scene has too few; called once a scene, in order.
+// Gives the features of scene `index` of `graph`, or nothing when the scene has too few; called once a
+// scene, from up to AlignOptions::threads threads at once.
 using FeatureSource = std::function<Result<SceneFeatures>(const AlignGraph& graph, int index)>;
 // Called often with the fraction done; false cancels.
 using AlignProgress = std::function<bool(double fraction)>;

@@ -146,6 +146,7 @@ struct AlignOptions {
   double position_white_fraction = 0.2;
   double position_white_min_m = 0.02;
   int iterations_max = 60;
+  int threads = 1;  // That extract and match features; the result does not depend on it.
 };
 
 }  // namespace trem::align

@@ -48,10 +48,11 @@ GDALDataType TypeOf(const CogSpec& spec) {
 Result<GdalDatasetPtr> CreateTemporary(const std::filesystem::path& path, const CogSpec& spec, const GdalErrors& errors) {
   CPLStringList options;
   for (const char* option : {"TILED=YES", "BLOCKXSIZE=256", "BLOCKYSIZE=256", "COMPRESS=DEFLATE", "ZLEVEL=1", "INTERLEAVE=PIXEL",
-                             "BIGTIFF=IF_SAFER", "SPARSE_OK=TRUE", "NUM_THREADS=1"}) {
+                             "BIGTIFF=IF_SAFER", "SPARSE_OK=TRUE"}) {
     options.AddString(option);
   }
   options.SetNameValue("PREDICTOR", Predictor(spec));
+  options.SetNameValue("NUM_THREADS", std::to_string(spec.threads).c_str());
   GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("GTiff");
   TREM_CHECK(driver != nullptr);
   GdalDatasetPtr dataset(
@@ -114,9 +115,10 @@ Status CopyToCog(const std::filesystem::path& tiles, const std::filesystem::path
   GDALDriver* driver = GetGDALDriverManager()->GetDriverByName("COG");
   if (driver == nullptr) return Failed("this GDAL has no COG driver; version 3.1 or newer is needed");
   CPLStringList options;
-  for (const char* option : {"BLOCKSIZE=512", "BIGTIFF=IF_SAFER", "OVERVIEWS=IGNORE_EXISTING", "NUM_THREADS=1"}) {
+  for (const char* option : {"BLOCKSIZE=512", "BIGTIFF=IF_SAFER", "OVERVIEWS=IGNORE_EXISTING"}) {
     options.AddString(option);
   }
+  options.SetNameValue("NUM_THREADS", std::to_string(spec.threads).c_str());
   const bool zstd = spec.compression == CogSpec::Compression::kZstd;
   options.SetNameValue("COMPRESS", zstd ? "ZSTD" : "DEFLATE");
   options.SetNameValue("OVERVIEW_COMPRESS", zstd ? "ZSTD" : "DEFLATE");

@@ -24,9 +24,10 @@ struct CogSpec {
   Type type = Type::kFloat32;
   Overviews overviews = Overviews::kAverage;
   Compression compression = Compression::kDeflate;  // kZstd: readers older than GDAL 3.4 may lack it.
-  std::vector<std::string> bands;               // Descriptions; at least one.
-  std::optional<double> nodata;                 // NaN for measurements, an impossible value for identifiers.
-  std::map<std::string, std::string> metadata;  // Default domain.
+  std::vector<std::string> bands;                   // Descriptions; at least one.
+  std::optional<double> nodata;                     // NaN for measurements, an impossible value for identifiers.
+  std::map<std::string, std::string> metadata;      // Default domain.
+  int threads = 1;                                  // That compress; the bytes do not depend on it.
 };
 
 // Gives the planes of tile `index` of the grid, one for each band, each of the tile's size; called once a tile, in order.

@@ -19,6 +19,7 @@ constexpr std::size_t kChunkBytesMax = std::size_t{4} << 20;
 constexpr int kLogLinesMax = 256;  // Of one message of a worker.
 constexpr std::size_t kLogLineBytesMax = 4096;
 constexpr std::uint32_t kCreditMax = 1024;
+constexpr std::uint32_t kProcessorsMax = 4096;
 constexpr std::uint32_t kDurationMsMax = 86'400'000;  // A day.
 constexpr std::uint32_t kStatusCodeMax = static_cast<std::uint32_t>(StatusCode::kFailed);
 
@@ -164,6 +165,11 @@ Status Validate(const v1::Ack& ack) { return Validate(ack.attempt()); }
 Status Validate(const v1::CancelTask& cancel) {
   TREM_RETURN_IF_ERROR(Validate(cancel.attempt()));
   return CheckText("reason", cancel.reason(), kTextBytesMax);
+}
+
+Status Validate(const v1::Share& share) {
+  TREM_RETURN_IF_ERROR(Validate(share.attempt()));
+  return CheckRange("processors", share.processors(), 1, kProcessorsMax);
 }
 
 Status Validate(const v1::Drain& drain) { return CheckText("reason", drain.reason(), kTextBytesMax); }
@@ -328,6 +334,8 @@ Status ValidateBody(const v1::Envelope& envelope) {
       return Validate(envelope.cancel_task());
     case v1::Envelope::kDrain:
       return Validate(envelope.drain());
+    case v1::Envelope::kShare:
+      return Validate(envelope.share());
     case v1::Envelope::kSubmitJob:
       return Validate(envelope.submit_job());
     case v1::Envelope::kGetJob:

@@ -3,7 +3,8 @@
 //
 // Baseline: the direct run does the same tasks in the order of the plan, with the same artefact store (every result hashed, synced and
 // renamed), and without log, messages and processes. Aims: at most 10 % more CPU time with one worker; two workers on two cores at
-// least 1.8 times as fast. The mosaics of all runs must be the same bytes.
+// least 1.8 times as fast. The mosaics of all runs must be the same bytes. The stages' times say where the rest is: a stage of one task
+// is as long as its task, the others as long as their tasks together, divided by the workers.
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -13,9 +14,13 @@
 #include <cstdio>
 #include <deque>
 #include <filesystem>
+#include <functional>
+#include <map>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
+#include "coordinator/cli/job_report.h"
 #include "coordinator/scheduling/job_graph.h"
 #include "mosaic/base/artefact_store.h"
 #include "mosaic/base/check.h"
@@ -34,6 +39,7 @@ using Clock = std::chrono::steady_clock;
 struct Cost {
   double wall_s = 0.0;
   double cpu_s = 0.0;
+  std::map<std::string, double> stages_s;  // Sums over their tasks, which may run at once.
 };
 
 double CpuSeconds(int who) {
@@ -48,11 +54,11 @@ Cost Measure(int who, Work work) {
   const auto start = Clock::now();
   const double cpu = CpuSeconds(who);
   work();
-  return {std::chrono::duration<double>(Clock::now() - start).count(), CpuSeconds(who) - cpu};
+  return {std::chrono::duration<double>(Clock::now() - start).count(), CpuSeconds(who) - cpu, {}};
 }
 
 // All tasks of the job, one after the other. Returns the digest of the mosaic.
-std::string RunDirectly(const v1::Sortie& sortie, const fs::path& folder) {
+std::string RunDirectly(const v1::Sortie& sortie, const fs::path& folder, std::map<std::string, double>* stages_s) {
   const auto store = ArtefactStore::Open(folder);
   TREM_CHECK_MSG(store.ok(), store.status().ToString());
   JobGraph graph("direct", sortie);
@@ -60,7 +66,9 @@ std::string RunDirectly(const v1::Sortie& sortie, const fs::path& folder) {
   while (!waiting.empty()) {
     const TaskPlace place = waiting.front().place;
     waiting.pop_front();
-    const auto result = RunTask(graph.Spec(place), TaskContext{&*store, [](double) { return true; }});
+    const auto start = Clock::now();
+    const auto result = RunTask(graph.Spec(place), TaskContext{&*store, [](double) { return true; }, 1});
+    (*stages_s)[TaskKindName(place.kind)] += std::chrono::duration<double>(Clock::now() - start).count();
     TREM_CHECK_MSG(result.ok(), result.status().ToString());
     auto planned = graph.Finish(place, {*result, 0, 0});
     TREM_CHECK_MSG(planned.ok(), planned.status().ToString());
@@ -74,18 +82,33 @@ std::string RunDirectly(const v1::Sortie& sortie, const fs::path& folder) {
   return "";
 }
 
-// `trem run`, its processes waited for, so that their CPU time counts.
-void RunService(const fs::path& sortie, const std::vector<std::string>& overrides, const fs::path& output, int workers) {
-  std::vector<std::string> argv = {
-      testing::BinaryPath("trem").string(), "run", sortie.string(), "-o", output.string(), "--workers", std::to_string(workers), "--quiet"};
+// `trem run`, its processes waited for, so that their CPU time counts. Returns the stages' times.
+std::map<std::string, double> RunService(const fs::path& sortie, const std::vector<std::string>& overrides, const fs::path& output,
+                                         int workers) {
+  std::vector<std::string> argv = {testing::BinaryPath("trem").string(),
+                                   "run",
+                                   sortie.string(),
+                                   "-o",
+                                   output.string(),
+                                   "--workers",
+                                   std::to_string(workers),
+                                   "--quiet",
+                                   "--json"};
   for (const std::string& override_text : overrides) argv.insert(argv.end(), {"--set", override_text});
   const testing::Completed done = testing::RunProgram(argv, std::chrono::hours(2));
   TREM_CHECK_MSG(done.exit_code == 0, done.stderr_text);
+  std::map<std::string, double> stages_s;
+  const auto report = nlohmann::json::parse(done.stdout_text);
+  for (const auto& stage : report.at("stages")) stages_s[stage.at("kind")] = 1e-3 * stage.at("elapsed_ms").get<double>();
+  return stages_s;
 }
 
 void Print(const char* what, const Cost& cost, const Cost& direct) {
   std::printf("  %-26s %8.2f s, %8.2f s of CPU time; CPU time %+6.1f %%\n", what, cost.wall_s, cost.cpu_s,
               (cost.cpu_s / direct.cpu_s - 1.0) * 100.0);
+  std::printf("  %-26s", "");
+  for (const char* stage : {"ingest", "enhance", "align", "composite", "export"}) std::printf(" %s %.2f s", stage, cost.stages_s.at(stage));
+  std::printf("\n");
 }
 
 }  // namespace
@@ -97,10 +120,12 @@ int main(int argc, char** argv) {
   std::string folder = (fs::temp_directory_path() / ("trem-service-overhead-" + std::to_string(::getpid()))).string();
   std::vector<std::string> overrides;
   int repeats = 1;
+  bool skip_direct = false;
   CLI::App app("What the service costs on a real job.", "service_overhead");
   app.add_option("SORTIE", sortie, "A sortie's spec; default: one that is simulated");
   app.add_option("--set", overrides, "A field of the spec")->allow_extra_args(false);
   app.add_option("--repeats", repeats, "Runs of each kind; the fastest counts")->capture_default_str();
+  app.add_flag("--skip-direct", skip_direct, "Leave the engine alone out");
   app.add_option("--folder", folder, "Working folder; removed afterwards")->capture_default_str();
   CLI11_PARSE(app, argc, argv);
   fs::create_directories(folder);
@@ -115,27 +140,35 @@ int main(int argc, char** argv) {
   TREM_CHECK_MSG(spec.ok(), spec.status().ToString());
   const Status completed = CompleteSortie(&*spec);
   TREM_CHECK_MSG(completed.ok(), completed.ToString());
-  const auto better = [](Cost* best, const Cost& cost, int round) {
-    if (round == 0 || cost.cpu_s < best->cpu_s) *best = cost;
-  };
   Cost direct, one, two;
   std::string digest;
   for (int round = 0; round < repeats; ++round) {
     const fs::path base = fs::path(folder) / std::to_string(round);
     for (const char* run : {"one", "two"}) fs::create_directories(base / run);
-    better(&direct, Measure(RUSAGE_SELF, [&] { digest = RunDirectly(*spec, base / "store"); }), round);
-    better(&one, Measure(RUSAGE_CHILDREN, [&] { RunService(sortie, overrides, base / "one" / "mosaic.tif", 1); }), round);
-    better(&two, Measure(RUSAGE_CHILDREN, [&] { RunService(sortie, overrides, base / "two" / "mosaic.tif", 2); }), round);
+    std::map<std::string, double> stages_s;
+    const auto measure = [&](Cost* best, int who, const std::function<void()>& work) {
+      Cost cost = Measure(who, work);
+      cost.stages_s = std::move(stages_s);
+      stages_s.clear();
+      if (round == 0 || cost.wall_s < best->wall_s) *best = std::move(cost);
+    };
+    const auto service = [&](const char* run, int workers) {
+      return [&, run, workers] { stages_s = RunService(sortie, overrides, base / run / "mosaic.tif", workers); };
+    };
+    if (!skip_direct) measure(&direct, RUSAGE_SELF, [&] { digest = RunDirectly(*spec, base / "store", &stages_s); });
+    measure(&one, RUSAGE_CHILDREN, service("one", 1));
+    measure(&two, RUSAGE_CHILDREN, service("two", 2));
+    if (skip_direct) digest = Sha256HexOfFile(base / "one" / "mosaic.tif").value();
     for (const char* run : {"one", "two"}) {
       TREM_CHECK_MSG(Sha256HexOfFile(base / run / "mosaic.tif").value() == digest, "the mosaics differ");
     }
   }
   std::printf("%s\n", sortie.c_str());
-  Print("engine in one process", direct, direct);
-  Print("trem run --workers 1", one, direct);
-  Print("trem run --workers 2", two, direct);
-  std::printf("  one worker: %+.1f %% wall time against the engine alone; two workers: %.2f times as fast as one\n",
-              (one.wall_s / direct.wall_s - 1.0) * 100.0, one.wall_s / two.wall_s);
+  if (!skip_direct) Print("engine in one process", direct, direct);
+  Print("trem run --workers 1", one, skip_direct ? one : direct);
+  Print("trem run --workers 2", two, skip_direct ? one : direct);
+  if (!skip_direct) std::printf("  one worker: %+.1f %% wall time against the engine alone\n", (one.wall_s / direct.wall_s - 1.0) * 100.0);
+  std::printf("  two workers: %.2f times as fast as one\n", one.wall_s / two.wall_s);
   fs::remove_all(folder);
   return 0;
 }

@@ -120,6 +120,10 @@ TaskOutcome ComputeProcess::Death(const v1::TaskSpec& spec) {
   return Failed(what + "exited with code " + std::to_string(WEXITSTATUS(status)));
 }
 
+void ComputeProcess::SetProcessors(int processors) {
+  if (processors_.exchange(processors) != processors) wake_.Notify();
+}
+
 TaskOutcome ComputeProcess::Run(const v1::TaskSpec& spec, const std::function<bool(double)>& progress) {
   TREM_RETURN_IF_ERROR(EnsureStarted());
   TaskOutcome outcome = Await(spec, progress);
@@ -130,12 +134,15 @@ TaskOutcome ComputeProcess::Run(const v1::TaskSpec& spec, const std::function<bo
 
 TaskOutcome ComputeProcess::Await(const v1::TaskSpec& spec, const std::function<bool(double)>& progress) {
   if (!SendComputeFrame(fd_, ComputeFrameKind::kTask, spec.SerializeAsString()).ok()) return Death(spec);
+  int processors_told = 1;
   const Clock::time_point start = Clock::now();
   Clock::time_point last_news = start;
   std::optional<Clock::time_point> kill_at;
   for (;;) {
-    std::array<pollfd, 2> items{pollfd{fd_, POLLIN, 0}, pollfd{stderr_fd_, POLLIN, 0}};  // A negative one is left out.
+    // A negative one is left out.
+    std::array<pollfd, 3> items{pollfd{fd_, POLLIN, 0}, pollfd{stderr_fd_, POLLIN, 0}, pollfd{wake_.fd(), POLLIN, 0}};
     (void)::poll(items.data(), items.size(), static_cast<int>(kPoll.count()));
+    wake_.Clear();
     RelayStderr();
     const bool is_there = reader_.ReadAvailable(fd_);
     const Clock::time_point now = Clock::now();
@@ -156,6 +163,9 @@ TaskOutcome ComputeProcess::Await(const v1::TaskSpec& spec, const std::function<
       return Corrupt("the compute process sent a result that cannot be read");
     }
     if (!is_there) return Death(spec);
+    if (const int processors = processors_; processors != std::exchange(processors_told, processors)) {
+      (void)SendComputeFrame(fd_, ComputeFrameKind::kShare, std::to_string(processors));
+    }
     if (!goes_on && !kill_at) {
       kill_at = now + options_.cancel_grace;
       (void)SendComputeFrame(fd_, ComputeFrameKind::kCancel, "");

@@ -2,6 +2,7 @@
 
 #include <sys/types.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <functional>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "mosaic/base/status.h"
+#include "proto/channel/wake_event.h"
 #include "worker/app/compute_protocol.h"
 
 namespace trem {
@@ -28,7 +30,8 @@ struct ComputeProcessOptions {
 };
 
 // Computes in a child process, so that what a crash, an out-of-memory kill or a hang in native code ends is the task, not the worker. The
-// child is started with the first task and again after it has died; between tasks it sleeps. All calls belong to one thread at a time.
+// child is started with the first task and again after it has died; between tasks it sleeps. Calls belong to one thread at a time, where
+// nothing else is said.
 class ComputeProcess {
  public:
   explicit ComputeProcess(ComputeProcessOptions options) : options_(std::move(options)) {}
@@ -36,6 +39,9 @@ class ComputeProcess {
   ~ComputeProcess();
   ComputeProcess(const ComputeProcess&) = delete;
   ComputeProcess& operator=(const ComputeProcess&) = delete;
+
+  // How many processors the task may use from now on, until another one begins with one. From any thread.
+  void SetProcessors(int processors);
 
   // See TaskFunction. When the child dies: kExhausted after SIGKILL, which is how the kernel ends what takes too much memory; kFailed with
   // the signal's name otherwise.
@@ -50,6 +56,8 @@ class ComputeProcess {
   TaskOutcome Death(const v1::TaskSpec& spec);
 
   ComputeProcessOptions options_;
+  std::atomic<int> processors_{1};
+  WakeEvent wake_;  // When that has changed.
   pid_t pid_ = -1;
   int fd_ = -1;
   int stderr_fd_ = -1;  // Where it can be read; negative: the child has this process' own.

@@ -11,9 +11,12 @@
 #include <cerrno>
 #include <chrono>
 #include <condition_variable>
+#include <cstdlib>
 #include <deque>
 #include <mutex>
 #include <thread>
+
+#include "mosaic/base/parallel.h"
 
 namespace trem {
 namespace {
@@ -24,7 +27,7 @@ constexpr std::size_t kHeadBytes = 5;
 constexpr std::uint32_t kBodyBytesMax = 256U << 20;
 constexpr std::chrono::milliseconds kProgressInterval{50};
 
-bool IsKind(char kind) { return kind == 'T' || kind == 'C' || kind == 'P' || kind == 'D'; }
+bool IsKind(char kind) { return kind == 'T' || kind == 'C' || kind == 'S' || kind == 'P' || kind == 'D'; }
 
 std::uint64_t OwnPeakMemoryBytes() {
   rusage usage{};
@@ -58,9 +61,11 @@ class Listener {
         if (!frame.ok()) ::_exit(1);
         if (!frame->has_value()) break;
         if ((*frame)->kind == ComputeFrameKind::kCancel) is_cancelled_ = true;
+        if ((*frame)->kind == ComputeFrameKind::kShare) SetThreadsMax(static_cast<int>(std::strtol((*frame)->body.c_str(), nullptr, 10)));
         if ((*frame)->kind != ComputeFrameKind::kTask) continue;
         v1::TaskSpec spec;
         if (!spec.ParseFromString((*frame)->body)) ::_exit(1);
+        SetThreadsMax(1);
         const std::lock_guard lock(mutex_);
         is_cancelled_ = false;
         tasks_.push_back(std::move(spec));

@@ -18,6 +18,7 @@ namespace trem {
 enum class ComputeFrameKind : char {
   kTask = 'T',      // To the child: a TaskSpec.
   kCancel = 'C',    // To the child: nothing.
+  kShare = 'S',     // To the child: how many processors the running task may use, as decimal text. Each task begins with one.
   kProgress = 'P',  // To the parent: a fraction as decimal text.
   kDone = 'D',      // To the parent: a Done without its attempt.
 };

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "mosaic/base/file.h"
+#include "mosaic/base/parallel.h"
 #include "proto/codec/convert.h"
 #include "proto/codec/sortie_spec.h"
 #include "worker/app/progress_bar.h"
@@ -45,10 +46,11 @@ Result<std::vector<v1::SortieManifest>> Ingest(const Arguments& arguments, const
   std::vector<v1::SortieManifest> manifests;
   try {
     for (int k = 0; k < count; ++k) {
-      Result<v1::SortieManifest> manifest = DescribeSortie(SortieOfRecording(sortie, k), [&](double fraction) {
+      const auto show = [&](double fraction) {
         bar.Show((k + fraction) / count);
         return true;
-      });
+      };
+      Result<v1::SortieManifest> manifest = DescribeSortie(SortieOfRecording(sortie, k), show, ProcessorCount());
       if (!manifest.ok()) return k == 0 ? manifest.status() : manifest.status().WithPrefix(fmt::format("more[{}]", k - 1));
       manifests.push_back(std::move(*manifest));
     }

@@ -40,6 +40,7 @@ struct ServeOptions {
   std::string key_path;
   std::string coordinator_key_path;
   std::uint64_t memory_bytes_max = 0;
+  std::uint32_t processors_max = 0;
   std::uint32_t give_up_s = 0;
   std::uint32_t drain_s = 0;
   std::uint32_t silence_s = 300;
@@ -141,6 +142,9 @@ Status Serve(ServeOptions serve) {
   ComputeProcessOptions compute_options = ComputeOptionsOf(serve, scratch.path());
   compute_options.on_stderr = [&log](std::string_view bytes) { log.Add(bytes); };
   ComputeProcess compute(std::move(compute_options));
+  options.on_share = [&](int processors) {
+    compute.SetProcessors(serve.processors_max > 0 ? std::min(processors, static_cast<int>(serve.processors_max)) : processors);
+  };
   const auto task = [&](const v1::TaskSpec& spec, const std::function<bool(double)>& progress) -> TaskOutcome {
     TREM_RETURN_IF_ERROR(guard.Check(spec.sortie()));
     return compute.Run(spec, progress);
@@ -176,6 +180,10 @@ int RunServeCommand(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--memory-max-bytes", options.memory_bytes_max,
                  "Take no task that needs more memory, and let none allocate more (0: no limit)")
+      ->capture_default_str();
+  app.add_option("--processors-max", options.processors_max,
+                 "Use at most so many processors, its own and those that idle workers of this host lend it (0: as many as are lent)")
+      ->check(CLI::Range(0U, 4096U))
       ->capture_default_str();
   app.add_option("--give-up-s", options.give_up_s, "Exit after the coordinator was silent for so many seconds (0: never)")
       ->capture_default_str();

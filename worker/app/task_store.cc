@@ -3,6 +3,7 @@
 #include <chrono>
 #include <system_error>
 
+#include "mosaic/base/parallel.h"
 #include "mosaic/raster/vsi_backing.h"
 #include "worker/tasks/task.h"
 
@@ -50,7 +51,8 @@ Result<v1::TaskResult> TaskStore::Run(const v1::TaskSpec& spec, const std::funct
 Result<v1::TaskResult> TaskStore::RunHere(const v1::TaskSpec& spec, const std::function<bool(double)>& progress) {
   v1::TaskSpec here = spec;
   TREM_ASSIGN_OR_RETURN(*here.mutable_sortie(), inputs_->Bring(spec.sortie(), *store_));
-  return RunTask(here, TaskContext{&*store_, progress});
+  // As many as there may ever be: how many of them compute is told while the task runs.
+  return RunTask(here, TaskContext{&*store_, progress, ProcessorCount()});
 }
 
 }  // namespace trem

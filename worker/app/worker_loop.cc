@@ -89,6 +89,9 @@ class WorkerLoop {
       case v1::Envelope::kCancelTask:
         OnCancel(envelope.cancel_task(), now);
         break;
+      case v1::Envelope::kShare:
+        OnShare(envelope.share());
+        break;
       case v1::Envelope::kDrain:
         spdlog::info("asked to leave when the running task is done: {}", envelope.drain().reason());
         BeginDrain(now);
@@ -161,6 +164,16 @@ class WorkerLoop {
     Send(MakeDone(cancel.attempt(), {Cancelled("cancelled before it started or after it was done"), milliseconds(0)}), now);
   }
 
+  void OnShare(const v1::Share& share) {
+    share_ = share;  // Its task may still wait for the slot.
+    if (running_ && Same(*running_, share.attempt())) ApplyShare();
+  }
+
+  void ApplyShare() {
+    const bool is_told = share_ && Same(*running_, share_->attempt());
+    if (options_.on_share) options_.on_share(is_told ? static_cast<int>(share_->processors()) : 1);
+  }
+
   // ---- The compute slot ---------------------------------------------------------------------------------------------------------------
 
   void CancelRunning(const std::string& reason, TimePoint now) {
@@ -180,6 +193,7 @@ class WorkerLoop {
     if (options_.log != nullptr) options_.log->Begin();
     LogWith(spdlog::level::info, v1::TaskKind_Name(dispatch.task().kind()) + " begins",
             {{"task", running_->task_key()}, {"attempt", std::to_string(running_->attempt())}, {"worker", options_.worker_id}});
+    ApplyShare();
     compute_.Start(std::move(*dispatch.mutable_task()));
   }
 
@@ -227,7 +241,11 @@ class WorkerLoop {
       spdlog::debug("the coordinator is silent; introducing this worker again");
       is_welcome_ = false;
     }
-    if (!is_welcome_ && now >= next_hello_) next_hello_ = now + (Send(MakeHello(), now) ? options_.hello_interval : kUnsentRetry);
+    if (!is_welcome_ && now >= next_hello_) {
+      next_hello_ = now + (Send(MakeHello(), now) ? options_.hello_interval : kUnsentRetry);
+      share_.reset();  // As the coordinator does at a Hello.
+      if (running_) ApplyShare();
+    }
     if (!is_welcome_) return;  // What a coordinator that does not know this worker reads now, it could not place.
     for (PendingDone& done : unacknowledged_) {
       if (now >= done.due) done.due = now + (Send(done.envelope, now) ? options_.done_resend : kUnsentRetry);
@@ -352,6 +370,7 @@ class WorkerLoop {
 
   std::optional<v1::TaskAttempt> running_;
   std::deque<v1::Dispatch> queued_;
+  std::optional<v1::Share> share_;  // What was said last.
   std::vector<PendingDone> unacknowledged_;
   ComputeThread compute_;
 };

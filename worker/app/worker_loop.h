@@ -3,6 +3,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <string>
 
 #include "mosaic/base/status.h"
@@ -21,6 +22,10 @@ struct WorkerOptions {
   std::uint64_t memory_bytes_max = 0;  // Told to the coordinator, which sends no task that needs more. 0: no limit.
 
   AttemptLog* log = nullptr;  // Whose lines are sent to the coordinator as they come. May be null.
+
+  // Given the number of processors that the running task may use from now on: 1 when one begins, others as the coordinator says. Called
+  // on the loop's thread. May be empty.
+  std::function<void(int processors)> on_share;
 
   std::chrono::milliseconds log_interval{1000};      // And at the end of an attempt.
   std::chrono::milliseconds hello_interval{1000};    // Until a Welcome.

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <vector>
 
-#include "worker/sensor/parallel.h"
+#include "mosaic/base/parallel.h"
 
 namespace trem {
 namespace {

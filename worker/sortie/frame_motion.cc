@@ -25,6 +25,8 @@ constexpr double kClipSigmas = 4.0;
 constexpr double kCorrelationMin = 0.35;
 // Below this the feature search gets a chance to do better.
 constexpr double kCorrelationGood = 0.6;
+// Of the frame's longer side: two pixels of the level at which phases are correlated.
+constexpr double kAgreement = 0.01;
 constexpr double kOverlapMin = 0.25;
 constexpr double kScaleMin = 0.5;
 constexpr double kScaleMax = 2.0;
@@ -146,6 +148,8 @@ struct FrameMotion::State {
   // Follows a start (sensor pixels) through the pyramid up to the validation level.
   Score Climb(const Pyramid& current, Affine* motion, int first_level) const;
   Affine PhaseShift(const Pyramid& current) const;
+  // Whether two motions, found independently, put the image centre to the same place.
+  bool Agree(const Affine& a, const Affine& b) const;
   std::optional<Affine> FeatureMotion(Pyramid* current);
 };
 
@@ -227,6 +231,11 @@ Affine FrameMotion::State::PhaseShift(const Pyramid& current) const {
   return FromLevel(affine, kLevel);
 }
 
+bool FrameMotion::State::Agree(const Affine& a, const Affine& b) const {
+  const Eigen::Vector2d centre(0.5 * (width_px - 1.0), 0.5 * (height_px - 1.0));
+  return (a * centre - b * centre).norm() <= kAgreement * std::max(width_px, height_px);
+}
+
 std::optional<Affine> FrameMotion::State::FeatureMotion(Pyramid* current) {
   FindFeatures(&*previous);
   FindFeatures(current);
@@ -265,8 +274,11 @@ std::optional<MotionLink> FrameMotion::Link(const Image<float>& reduced) {
     best_score = score;
   };
   consider(state.velocity, 0);
-  consider(state.PhaseShift(current), 0);
-  consider(Affine(), 0);
+  const Affine shift = state.PhaseShift(current);
+  if (best_score.correlation < kCorrelationGood || !state.Agree(best, shift)) {
+    consider(shift, 0);
+    consider(Affine(), 0);
+  }
   if (best_score.correlation < kCorrelationGood) {
     const std::optional<Affine> start = state.FeatureMotion(&current);
     if (start.has_value()) consider(*start, kValidationLevel);

@@ -26,10 +26,11 @@ struct MotionLink {
 // Registers every frame to the one before it, whole image, without any prior knowledge but that the ground is seen again: frames may
 // differ by shifts of a large part of their size, by rotation, scale, gain and offset. Used as a motion prior and to detect cuts.
 //
-// Method: frames are band-passed (gain, offset and smooth shading cancel) on a pyramid of about 96, 192 and 384 px. At the coarsest level
-// three starts (the last motion, none, phase correlation) are refined by ECC (Evangelidis & Psarakis, PAMI 30(10), 2008) and the one that
-// correlates best is carried to the finer levels. When its correlation is poor, SIFT features with a RANSAC affine fit are tried as a
-// further start. A result counts when its correlation, overlap, scale and shear are plausible.
+// Method: frames are band-passed (gain, offset and smooth shading cancel) on a pyramid of about 96, 192 and 384 px. From the coarsest level
+// on, the last motion is refined by ECC (Evangelidis & Psarakis, PAMI 30(10), 2008). Where the result does not correlate well, or phase
+// correlation, which knows nothing of it, finds another shift, that shift and no motion at all are refined too, and what correlates best
+// counts. When that is poor, SIFT features with a RANSAC affine fit are tried as a further start. A result counts when its correlation,
+// overlap, scale and shear are plausible.
 class FrameMotion {
  public:
   // Size of the frames in sensor pixels, and the part of them without black borders.

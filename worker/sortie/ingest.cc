@@ -4,13 +4,14 @@
 
 #include <algorithm>
 #include <cmath>
-#include <deque>
 #include <limits>
 #include <memory>
 #include <opencv2/core/utility.hpp>
 #include <optional>
+#include <utility>
 #include <vector>
 
+#include "mosaic/base/parallel.h"
 #include "proto/codec/convert.h"
 #include "worker/sortie/borders.h"
 #include "worker/sortie/control_csv.h"
@@ -26,8 +27,10 @@
 namespace trem {
 namespace {
 
-// Frames that are looked at for borders before motion is measured (their reduced versions wait).
-constexpr std::size_t kFramesBeforeMotion = 32;
+// Frames that are read (and looked at for borders) while the motion between those before them is measured; their reduced versions wait.
+constexpr std::size_t kBatchFrames = 32;
+// The motion of so many successive frames is measured in one go, without knowledge of what was before them: runs may be measured at once.
+constexpr std::size_t kRunFrames = 8;
 constexpr double kQuantisationSigma = 0.29;  // Of an integer grey level: 1 / sqrt(12).
 constexpr double kBlankSpan = 2.0;           // Grey levels of an 8-bit source.
 // More saturated pixels than this are worth a note.
@@ -45,7 +48,8 @@ double Median(std::vector<double> values) {
 
 class Ingest {
  public:
-  Ingest(const v1::Sortie& sortie, const std::function<bool(double)>& progress) : sortie_(sortie), progress_(progress) {}
+  Ingest(const v1::Sortie& sortie, const std::function<bool(double)>& progress, int threads)
+      : sortie_(sortie), progress_(progress), threads_(threads) {}
 
   Result<v1::SortieManifest> Run() {
     TREM_ASSIGN_OR_RETURN(source_, OpenFrameSource(sortie_));
@@ -54,8 +58,7 @@ class Ingest {
     TREM_ASSIGN_OR_RETURN(const FoundTelemetry telemetry, FindTelemetry(sortie_, source_->width_px(), source_->height_px()));
     TREM_ASSIGN_OR_RETURN(mask_, ReadPixelMask(sortie_.sensor(), source_->width_px(), source_->height_px()));
     if (mask_.has_value()) filler_.emplace(*mask_);
-    TREM_RETURN_IF_ERROR(ReadFrames());
-    LinkWaitingFrames();
+    TREM_RETURN_IF_ERROR(ReadAndLink());
     FinishPixels();
     FinishVignetting();
     TREM_RETURN_IF_ERROR(CheckSeeking());
@@ -80,29 +83,54 @@ class Ingest {
     borders_.emplace(source_->width_px(), source_->height_px());
   }
 
-  Status ReadFrames() {
+  // The next frames are read while the ones before are linked.
+  Status ReadAndLink() {
+    std::vector<WaitingFrame> batch;
+    do {
+      batch = std::exchange(waiting_, {});
+      if (!batch.empty() && !valid_roi_) BeginMotion();
+      const int runs = static_cast<int>((batch.size() + kRunFrames - 1) / kRunFrames);
+      std::vector<std::optional<MotionLink>> links(batch.size());
+      Status read;
+      ForEachIndex(threads_, runs + 1, [&](int index, int) {
+        if (index == 0) {
+          read = ReadBatch();
+        } else {
+          const auto run = static_cast<std::size_t>(index) - 1;
+          LinkRun(batch, run * kRunFrames, &links);
+        }
+      });
+      TREM_RETURN_IF_ERROR(read);
+      for (std::size_t i = 0; i < batch.size(); ++i) SetLink(batch[i], links[i]);
+      if (!batch.empty()) last_linked_ = std::move(batch.back().reduced);
+    } while (!waiting_.empty());
+    if (usable_count_ > 0) return {};
+    if (!first_problem_.ok()) return first_problem_.WithPrefix(sortie_.source().path() + ": no frame is usable; the first problem");
+    return InvalidInput(sortie_.source().path() + ": no frame is usable: all " + std::to_string(manifest_.frames_size()) +
+                        " are blank; expected pictures");
+  }
+
+  // Until enough usable frames wait, or the source ends.
+  Status ReadBatch() {
     SourceFrame frame;
-    Status first_problem;
-    while (true) {
+    while (!has_ended_ && waiting_.size() < kBatchFrames) {
       const int index = manifest_.frames_size();
       const auto expected = static_cast<double>(source_->expected_count());
       // Without a known count the fraction only approaches 1.
       const double fraction = expected > 0.0 ? std::min(1.0, index / expected) : 1.0 - 1.0 / (1.0 + index / 500.0);
       if (progress_ && !progress_(fraction)) return Cancelled(sortie_.source().path() + ": ingest was stopped");
       TREM_ASSIGN_OR_RETURN(const bool more, source_->Next(&frame));
-      if (!more) break;
+      has_ended_ = !more;
+      if (has_ended_) break;
       v1::ManifestFrame* entry = manifest_.add_frames();
       entry->set_name(frame.name);
       entry->set_pts(frame.pts);
       entry->set_time_s(frame.time_s);
       entry->set_state(Judge(frame));
-      if (!frame.image.ok() && first_problem.ok()) first_problem = frame.image.status();
+      if (!frame.image.ok() && first_problem_.ok()) first_problem_ = frame.image.status();
       if (entry->state() == v1::FRAME_USABLE) Measure(index, std::move(frame.image->pixels));
     }
-    if (usable_count_ > 0) return {};
-    if (!first_problem.ok()) return first_problem.WithPrefix(sortie_.source().path() + ": no frame is usable; the first problem");
-    return InvalidInput(sortie_.source().path() + ": no frame is usable: all " + std::to_string(manifest_.frames_size()) +
-                        " are blank; expected pictures");
+    return {};
   }
 
   v1::FrameState Judge(const SourceFrame& frame) {
@@ -156,26 +184,34 @@ class Ingest {
                         pixels.height() - pixels.height() / 10};
     noise_sigmas_.push_back(EstimateNoiseSigma(pixels, middle, mask_.has_value() ? &mask_->usable : nullptr));
     waiting_.push_back({index, ReduceFrame(pixels)});
-    if (motion_.has_value() || waiting_.size() >= kFramesBeforeMotion) LinkWaitingFrames();
   }
 
-  void LinkWaitingFrames() {
-    if (!motion_.has_value()) {
-      const Roi valid_roi = borders_->Find().valid_roi;
-      motion_.emplace(source_->width_px(), source_->height_px(), valid_roi);
-      const double level_max = SaturationLevel().value_or(std::numeric_limits<double>::infinity());
-      if (LooksForVignetting()) vignetting_.emplace(source_->width_px(), source_->height_px(), valid_roi, kUnsaturatedPart * level_max);
-    }
-    for (const WaitingFrame& frame : waiting_) {
-      const std::optional<MotionLink> link = motion_->Link(frame.reduced);
-      if (vignetting_.has_value())
-        vignetting_->Add(frame.reduced, link.has_value() ? std::optional<Affine>(link->previous_from_current) : std::nullopt);
-      if (!link.has_value()) continue;
-      v1::ManifestFrame* entry = manifest_.mutable_frames(frame.index);
-      ToProto(link->previous_from_current, entry->mutable_previous_from_current());
-      entry->set_motion_correlation(link->correlation);
-    }
-    waiting_.clear();
+  struct WaitingFrame {
+    int index = 0;
+    Image<float> reduced;
+  };
+  // When the borders are known.
+  void BeginMotion() {
+    valid_roi_ = borders_->Find().valid_roi;
+    const double level_max = SaturationLevel().value_or(std::numeric_limits<double>::infinity());
+    if (LooksForVignetting()) vignetting_.emplace(source_->width_px(), source_->height_px(), *valid_roi_, kUnsaturatedPart * level_max);
+  }
+
+  // How the frames of a run lie to the usable ones before them.
+  void LinkRun(const std::vector<WaitingFrame>& batch, std::size_t begin, std::vector<std::optional<MotionLink>>* links) const {
+    FrameMotion motion(source_->width_px(), source_->height_px(), *valid_roi_);
+    const Image<float>& before = begin > 0 ? batch[begin - 1].reduced : last_linked_;
+    if (!before.empty()) (void)motion.Link(before);
+    for (std::size_t i = begin; i < std::min(begin + kRunFrames, batch.size()); ++i) (*links)[i] = motion.Link(batch[i].reduced);
+  }
+
+  void SetLink(const WaitingFrame& frame, const std::optional<MotionLink>& link) {
+    if (vignetting_.has_value())
+      vignetting_->Add(frame.reduced, link.has_value() ? std::optional<Affine>(link->previous_from_current) : std::nullopt);
+    if (!link.has_value()) return;
+    v1::ManifestFrame* entry = manifest_.mutable_frames(frame.index);
+    ToProto(link->previous_from_current, entry->mutable_previous_from_current());
+    entry->set_motion_correlation(link->correlation);
   }
 
   // Levels of a factor on the light have a zero: those of integer sources, or of others on request.
@@ -283,10 +319,6 @@ class Ingest {
     return {};
   }
 
-  struct WaitingFrame {
-    int index = 0;
-    Image<float> reduced;
-  };
   struct Fingerprint {
     int index = 0;
     std::uint64_t fingerprint = 0;
@@ -294,6 +326,7 @@ class Ingest {
 
   const v1::Sortie& sortie_;
   const std::function<bool(double)>& progress_;
+  const int threads_;
   std::unique_ptr<FrameSource> source_;
   v1::SortieManifest manifest_;
   std::optional<BorderFinder> borders_;
@@ -302,9 +335,12 @@ class Ingest {
   long long saturated_count_ = 0;
   QuantileSampler sampler_;
   std::vector<double> noise_sigmas_;
-  std::deque<WaitingFrame> waiting_;
-  std::optional<FrameMotion> motion_;
+  bool has_ended_ = false;  // The source.
+  Status first_problem_;
+  std::vector<WaitingFrame> waiting_;
+  std::optional<Roi> valid_roi_;
   std::optional<VignettingFinder> vignetting_;
+  Image<float> last_linked_;  // Empty: none.
   int usable_count_ = 0;
   double grey_max_ = 0.0;
   std::uint64_t last_fingerprint_ = 0;
@@ -314,9 +350,9 @@ class Ingest {
 
 }  // namespace
 
-Result<v1::SortieManifest> IngestSortie(const v1::Sortie& sortie, const std::function<bool(double fraction)>& progress) {
+Result<v1::SortieManifest> IngestSortie(const v1::Sortie& sortie, const std::function<bool(double fraction)>& progress, int threads) {
   cv::setNumThreads(1);
-  return Ingest(sortie, progress).Run();
+  return Ingest(sortie, progress, threads).Run();
 }
 
 v1::IngestSummary SummariseManifest(const v1::SortieManifest& manifest) {

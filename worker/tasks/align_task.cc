@@ -1,6 +1,8 @@
 // ALIGN: every window's chains and scenes, and telemetry -> alignment.pb, where every scene lies on the mosaic.
 #include <algorithm>
 #include <array>
+#include <memory>
+#include <mutex>
 #include <opencv2/core.hpp>
 #include <set>
 #include <string>
@@ -40,22 +42,26 @@ Status ReadInputs(const v1::TaskSpec& spec, const TaskContext& context, v1::Sort
 }
 
 align::FeatureSource FeaturesFromStore(const ArtefactStore& store, const AlignTaskInput& input) {
-  return [&store, &input](const align::AlignGraph& graph, int index) -> Result<align::SceneFeatures> {
-    const align::SceneNode& node = graph.scenes[static_cast<std::size_t>(index)];
-    const ArtefactRef& ref = input.rasters.at({node.window_id, node.scene.scene_id});
-    TREM_RETURN_IF_ERROR(store.Verify(ref));
-    TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store.Locate(ref));
-    TREM_ASSIGN_OR_RETURN(const SceneRaster raster, ReadSceneRaster(path, kSceneCellsMax));
-    const Roi& roi = node.scene.roi_in_scene;
-    if (raster.intensity.width() != roi.width() || raster.intensity.height() != roi.height()) {
-      return Corrupt("scene " + std::to_string(node.scene.scene_id) + " of window " + std::to_string(node.window_id) + " is a raster of " +
-                     std::to_string(raster.intensity.width()) + " x " + std::to_string(raster.intensity.height()) + " cells; expected " +
-                     ToString(roi));
-    }
-    align::SceneFeatures features = align::ExtractFeatures(raster.intensity, raster.information, roi, graph.input.ratio, {});
-    features.levels = align::MeanLevels(raster.intensity, raster.information, roi, graph.input.ratio);
-    return features;
-  };
+  // What the store has to fetch comes one after the other.
+  return
+      [&store, &input, mutex = std::make_shared<std::mutex>()](const align::AlignGraph& graph, int index) -> Result<align::SceneFeatures> {
+        const align::SceneNode& node = graph.scenes[static_cast<std::size_t>(index)];
+        const ArtefactRef& ref = input.rasters.at({node.window_id, node.scene.scene_id});
+        std::unique_lock lock(*mutex);
+        TREM_RETURN_IF_ERROR(store.Verify(ref));
+        TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store.Locate(ref));
+        lock.unlock();
+        TREM_ASSIGN_OR_RETURN(const SceneRaster raster, ReadSceneRaster(path, kSceneCellsMax));
+        const Roi& roi = node.scene.roi_in_scene;
+        if (raster.intensity.width() != roi.width() || raster.intensity.height() != roi.height()) {
+          return Corrupt("scene " + std::to_string(node.scene.scene_id) + " of window " + std::to_string(node.window_id) +
+                         " is a raster of " + std::to_string(raster.intensity.width()) + " x " + std::to_string(raster.intensity.height()) +
+                         " cells; expected " + ToString(roi));
+        }
+        align::SceneFeatures features = align::ExtractFeatures(raster.intensity, raster.information, roi, graph.input.ratio, {});
+        features.levels = align::MeanLevels(raster.intensity, raster.information, roi, graph.input.ratio);
+        return features;
+      };
 }
 
 // The sortie's cutline in the mosaic's CRS; without rings when it has none.
@@ -181,7 +187,9 @@ Result<v1::TaskResult> RunAlignTask(const v1::TaskSpec& spec, const TaskContext&
   const FrameCensus census = CountFrames(manifest, windows);
   if (input.rasters.empty()) return Failed(NothingEnhancedText(census));
 
-  Result<align::AlignSolution> solved = align::Align(input.align, {}, FeaturesFromStore(*context.store, input), context.progress);
+  align::AlignOptions options;
+  options.threads = context.threads;
+  Result<align::AlignSolution> solved = align::Align(input.align, options, FeaturesFromStore(*context.store, input), context.progress);
   if (!solved.ok()) return solved.status();
   const align::AlignSolution& solution = *solved;
   const Homography map_from_world = solution.georeferenced ? input.map_from_working : Homography{};

@@ -2,16 +2,19 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <filesystem>
 #include <functional>
 #include <limits>
 #include <map>
+#include <mutex>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "mosaic/base/parallel.h"
 #include "mosaic/base/version.h"
 #include "mosaic/publish/detail_finder.h"
 #include "mosaic/publish/picture.h"
@@ -72,9 +75,11 @@ class Exporter {
   Status ReadInputs();
   Status PlaceTiles();
   Status WriteFrames();
-  Status WriteMosaic();
-  Status WriteQuality();
-  Status WriteSource();
+  // The rasters, each of which is on its own: at once where threads may be used.
+  Status WriteRasters();
+  Status WriteMosaic(const std::filesystem::path& path);
+  Status WriteQuality(const std::filesystem::path& path);
+  Status WriteSource(const std::filesystem::path& path);
   Status WritePreview();
   Status WriteReport();
   Status WriteStacItem();
@@ -84,6 +89,7 @@ class Exporter {
   Status PutFile(const std::string& name, const std::filesystem::path& temporary);
   void AddNote(const std::string& code, const std::string& message, bool hole);
   Status PutBytes(const std::string& name, const std::string& bytes);
+  // Verified when it is read for the first time.
   Result<std::vector<Image<float>>> ReadTile(int index, const std::vector<TilePlane>& planes) const;
   // Metadata of every raster.
   std::map<std::string, std::string> Metadata() const;
@@ -103,6 +109,8 @@ class Exporter {
   v1::Alignment alignment_;
   MosaicGrid grid_;
   std::vector<std::optional<ArtefactRef>> tiles_;  // By tile index.
+  mutable std::mutex store_mutex_;                 // What the store has to fetch comes one after the other.
+  mutable std::vector<bool> is_verified_;          // By tile index.
   ReportData report_;
   std::optional<Pictures> pictures_;
   v1::TaskResult result_;
@@ -131,6 +139,7 @@ Status Exporter::PlaceTiles() {
     return InvalidInput("EXPORT task " + spec_.key() + " has " + std::to_string(present.size()) + " inputs named tile.tif and " +
                         std::to_string(missing.size()) + " missing tiles; the mosaic has " + std::to_string(tile_count) + " tiles");
   }
+  is_verified_.assign(tile_count, false);
   std::size_t next_present = 0;
   for (std::size_t i = 0; i < tile_count; ++i) {
     const bool is_missing = std::find(missing.begin(), missing.end(), i) != missing.end();
@@ -155,7 +164,11 @@ Status Exporter::PutBytes(const std::string& name, const std::string& bytes) {
 Result<std::vector<Image<float>>> Exporter::ReadTile(int index, const std::vector<TilePlane>& planes) const {
   const std::optional<ArtefactRef>& ref = tiles_[static_cast<std::size_t>(index)];
   if (!ref) return EmptyTilePlanes(grid_, index, planes);
+  std::unique_lock lock(store_mutex_);
+  if (!is_verified_[static_cast<std::size_t>(index)]) TREM_RETURN_IF_ERROR(store_.Verify(*ref));
+  is_verified_[static_cast<std::size_t>(index)] = true;
   TREM_ASSIGN_OR_RETURN(const std::filesystem::path path, store_.Locate(*ref));
+  lock.unlock();
   return ReadTilePlanes(path, grid_, index, planes);
 }
 
@@ -203,7 +216,7 @@ void RoundToInteger(float grey_max, Image<float>* plane) {
   for (float& value : plane->pixels()) value = std::isfinite(value) ? std::clamp(std::round(value), 1.0f, grey_max) : 0.0f;
 }
 
-Status Exporter::WriteMosaic() {
+Status Exporter::WriteMosaic(const std::filesystem::path& path) {
   CogSpec cog = Spec();
   cog.bands = {report_.estimator + " [grey levels of the source]"};
   cog.type = MosaicType();
@@ -211,7 +224,6 @@ Status Exporter::WriteMosaic() {
   if (integer) cog.nodata = 0.0;
   const float scale = static_cast<float>(manifest_.grey_scale()), offset = static_cast<float>(manifest_.grey_offset());
   const CogTileReader reader = [&](int index) -> Result<std::vector<Image<float>>> {
-    if (const auto& tile = tiles_[static_cast<std::size_t>(index)]) TREM_RETURN_IF_ERROR(store_.Verify(*tile));
     TREM_ASSIGN_OR_RETURN(std::vector<Image<float>> planes, ReadTile(index, {TilePlane::kMedian}));
     for (float& value : planes[0].pixels()) value = offset + scale * value;
     pictures_->preview.Add(grid_.TileRoi(index), planes[0]);
@@ -220,13 +232,12 @@ Status Exporter::WriteMosaic() {
     if (integer) RoundToInteger(static_cast<float>(manifest_.grey_max()), &planes[0]);
     return planes;
   };
-  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.1, 0.35)));
-  return PutFile("mosaic.tif", path);
+  return WriteCog(path, cog, reader, Step(0.1, 0.35));
 }
 
-Status Exporter::WriteQuality() {
+Status Exporter::WriteQuality(const std::filesystem::path& path) {
   CogSpec cog = Spec();
+  cog.threads = std::min(context_.threads, ThreadsMax());  // Half of all that is written.
   cog.bands = {"count of scenes", "NMAD between scenes [grey levels of the source]",
                report_.georeferenced ? "standard error of position [m]" : "standard error of position [sensor px]"};
   const float scale = static_cast<float>(manifest_.grey_scale());
@@ -248,21 +259,39 @@ Status Exporter::WriteQuality() {
     pictures_->sigma.Add(roi, planes[2]);
     return planes;
   };
-  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.35, 0.6)));
-  return PutFile("mosaic_quality.tif", path);
+  return WriteCog(path, cog, reader, Step(0.35, 0.6));
 }
 
-Status Exporter::WriteSource() {
+Status Exporter::WriteSource(const std::filesystem::path& path) {
   CogSpec cog = Spec();
   cog.type = CogSpec::Type::kInt32;
   cog.overviews = CogSpec::Overviews::kNearest;
   cog.bands = {"window id of the dominant scene"};
   cog.nodata = static_cast<double>(kNoSource);
   const CogTileReader reader = [&](int index) { return ReadTile(index, {TilePlane::kSource}); };
-  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.6, 0.7)));
-  return PutFile("mosaic_source.tif", path);
+  return WriteCog(path, cog, reader, Step(0.6, 0.7));
+}
+
+Status Exporter::WriteRasters() {
+  struct Raster {
+    const char* name;
+    Status (Exporter::*write)(const std::filesystem::path& path);
+    std::filesystem::path path;
+    Status status;
+  };
+  // The one that takes longest first.
+  std::array<Raster, 3> rasters = {{{"mosaic_quality.tif", &Exporter::WriteQuality, {}, {}},
+                                    {"mosaic.tif", &Exporter::WriteMosaic, {}, {}},
+                                    {"mosaic_source.tif", &Exporter::WriteSource, {}, {}}}};
+  for (Raster& raster : rasters) raster.path = store_.NewTemporaryPath(".tif");
+  ForEachIndex(context_.threads, static_cast<int>(rasters.size()), [&](int index, int) {
+    Raster& raster = rasters[static_cast<std::size_t>(index)];
+    raster.status = (this->*raster.write)(raster.path);
+  });
+  for (const Raster& raster : rasters) TREM_RETURN_IF_ERROR(raster.status);
+  std::swap(rasters[0], rasters[1]);  // Outputs are listed with the mosaic first.
+  for (const Raster& raster : rasters) TREM_RETURN_IF_ERROR(PutFile(raster.name, raster.path));
+  return {};
 }
 
 // The middle value of a picture; NaN when it is empty.
@@ -276,9 +305,6 @@ double MiddleValue(const Image<float>& picture) {
 Status Exporter::WritePreview() {
   const Image<float> preview = pictures_->preview.Picture();
   const ValueRange stretch = QuantileRange(preview, 0.005, 0.995);
-  TREM_ASSIGN_OR_RETURN(const std::string preview_png, GreyPng(preview, stretch));
-  TREM_RETURN_IF_ERROR(PutBytes("mosaic_preview.png", preview_png));
-
   const Image<float> count = pictures_->count.Picture(), nmad = pictures_->nmad.Picture(), sigma = pictures_->sigma.Picture();
   report_.coverage = static_cast<double>(pictures_->covered) / (static_cast<double>(grid_.width) * grid_.height);
   report_.median_scenes = pictures_->covered > 0 ? MiddleValue(count) : 0.0;
@@ -289,10 +315,21 @@ Status Exporter::WritePreview() {
   report_.nmad.range = {0.0, QuantileRange(nmad, 0.0, 0.98).high};
   report_.sigma.range = QuantileRange(sigma, 0.0, 0.98);
   report_.grey_range = stretch.high - stretch.low;
-  TREM_ASSIGN_OR_RETURN(report_.preview.png, GreyPng(pictures_->report_preview.Picture(), stretch));
-  TREM_ASSIGN_OR_RETURN(report_.count.png, ColourPng(count, report_.count.range));
-  TREM_ASSIGN_OR_RETURN(report_.nmad.png, ColourPng(nmad, report_.nmad.range));
-  TREM_ASSIGN_OR_RETURN(report_.sigma.png, ColourPng(sigma, report_.sigma.range));
+  std::array<Result<std::string>, 5> pngs = {Failed(""), Failed(""), Failed(""), Failed(""), Failed("")};
+  ForEachIndex(context_.threads, static_cast<int>(pngs.size()), [&](int index, int) {
+    Result<std::string>& png = pngs[static_cast<std::size_t>(index)];
+    if (index == 0) png = GreyPng(preview, stretch);
+    if (index == 1) png = GreyPng(pictures_->report_preview.Picture(), stretch);
+    if (index == 2) png = ColourPng(count, report_.count.range);
+    if (index == 3) png = ColourPng(nmad, report_.nmad.range);
+    if (index == 4) png = ColourPng(sigma, report_.sigma.range);
+  });
+  for (const Result<std::string>& png : pngs) TREM_RETURN_IF_ERROR(png.status());
+  TREM_RETURN_IF_ERROR(PutBytes("mosaic_preview.png", *pngs[0]));
+  report_.preview.png = std::move(*pngs[1]);
+  report_.count.png = std::move(*pngs[2]);
+  report_.nmad.png = std::move(*pngs[3]);
+  report_.sigma.png = std::move(*pngs[4]);
   return {};
 }
 
@@ -395,9 +432,7 @@ Result<v1::TaskResult> Exporter::Run() {
   report_.estimator = EstimatorText(spec_.sortie().mosaic().estimator());
   pictures_.emplace(grid_, kCropSidePx * ratio());
   TREM_RETURN_IF_ERROR(WriteFrames());
-  TREM_RETURN_IF_ERROR(WriteMosaic());
-  TREM_RETURN_IF_ERROR(WriteQuality());
-  TREM_RETURN_IF_ERROR(WriteSource());
+  TREM_RETURN_IF_ERROR(WriteRasters());
   TREM_RETURN_IF_ERROR(WritePreview());
   if (pictures_->covered == 0) {
     AddNote("mosaic_empty", "no scene covers any pixel of the mosaic; see mosaic.gsd, mosaic.bounds and mosaic.cutline_path", true);

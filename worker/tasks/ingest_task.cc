@@ -20,7 +20,7 @@ Result<v1::TaskResult> RunIngestTask(const v1::TaskSpec& spec, const TaskContext
   std::vector<v1::SortieManifest> recordings;
   for (int k = 0; k < count; ++k) {
     const auto progress = [&](double fraction) { return !context.progress || context.progress((k + fraction) / count); };
-    Result<v1::SortieManifest> manifest = DescribeSortie(SortieOfRecording(spec.sortie(), k), progress);
+    Result<v1::SortieManifest> manifest = DescribeSortie(SortieOfRecording(spec.sortie(), k), progress, context.threads);
     if (!manifest.ok()) return k == 0 ? manifest.status() : manifest.status().WithPrefix("more[" + std::to_string(k - 1) + "]");
     recordings.push_back(std::move(*manifest));
   }

@@ -1,6 +1,7 @@
 #include <fmt/format.h>
 
 #include <exception>
+#include <mutex>
 #include <new>
 #include <opencv2/core.hpp>
 
@@ -31,11 +32,18 @@ Result<v1::TaskResult> Dispatch(const v1::TaskSpec& spec, const TaskContext& con
 
 Result<v1::TaskResult> RunTask(const v1::TaskSpec& spec, const TaskContext& context) {
   TREM_CHECK(context.store != nullptr && context.progress != nullptr);
-  // Results must not depend on the number of threads, and a worker process has one compute slot.
+  // OpenCV's own threads would be more than this task may use.
   cv::setNumThreads(1);
   const auto where = [&spec] { return v1::TaskKind_Name(spec.kind()) + " task"; };
+  // A task's threads report one at a time.
+  std::mutex mutex;
+  TaskContext guarded = context;
+  guarded.progress = [&](double fraction) {
+    const std::lock_guard lock(mutex);
+    return context.progress(fraction);
+  };
   try {
-    return Dispatch(spec, context);
+    return Dispatch(spec, guarded);
   } catch (const cv::Exception& error) {
     if (error.code == cv::Error::StsNoMem) return Exhausted(where() + ": OpenCV ran out of memory: " + error.what());
     return Failed(where() + ": OpenCV: " + error.what());

@@ -14,7 +14,7 @@ struct TaskContext {
   // Called often (at least once a second of work) with the fraction done, 0..1; renews the lease. False: stop soon and return
   // Cancelled.
   std::function<bool(double fraction)> progress;
-  // That an ENHANCE task may use; the result does not depend on it. A worker is one compute slot, so that it has one.
+  // That may be used, as far as ThreadsMax() allows at the time; the result does not depend on it.
   int threads = 1;
 };
 

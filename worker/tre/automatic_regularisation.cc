@@ -4,8 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "mosaic/base/parallel.h"
 #include "worker/sensor/bicubic.h"
-#include "worker/sensor/parallel.h"
 #include "worker/tre/information_update.h"
 #include "worker/tre/update_kernels.h"
 

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <vector>
 
+#include "mosaic/base/parallel.h"
 #include "worker/sensor/filter_rows.h"
-#include "worker/sensor/parallel.h"
 #include "worker/tre/update_kernels.h"
 #include "worker/tre/view_row.h"
 

@@ -6,8 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include "mosaic/base/parallel.h"
 #include "worker/sensor/filter_rows.h"
-#include "worker/sensor/parallel.h"
 #include "worker/tre/splat_kernel.h"
 
 namespace trem {

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "mosaic/base/parallel.h"
 #include "worker/sensor/bicubic.h"
-#include "worker/sensor/parallel.h"
 #include "worker/tre/update_kernels.h"
 
 namespace trem {

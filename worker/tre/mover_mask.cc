@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "worker/sensor/parallel.h"
+#include "mosaic/base/parallel.h"
 #include "worker/tre/view_row.h"
 
 namespace trem {

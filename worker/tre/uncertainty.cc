@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mosaic/base/parallel.h"
 #include "mosaic/base/rng.h"
 #include "worker/sensor/bicubic.h"
-#include "worker/sensor/parallel.h"
 #include "worker/tre/emitted_band.h"
 
 namespace trem {

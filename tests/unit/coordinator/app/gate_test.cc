@@ -45,7 +45,7 @@ TEST(GateTest, EveryRoleMaySayWhatItShouldAndNothingElse) {
       {"log_page", "---"},       {"backup", "--a"},
       {"backup_status", "---"},  {"list_artefacts", "--a"},
       {"artefact_list", "---"},  {"get_service_report", "c-a"},
-      {"service_report", "---"},
+      {"service_report", "---"}, {"share", "---"},
   };
   const auto* body = v1::Envelope::descriptor()->FindOneofByName("body");
   for (int i = 0; i < body->field_count(); ++i) {

@@ -65,6 +65,14 @@ v1::Envelope SomeTaskLog() {
   return envelope;
 }
 
+v1::Envelope SomeShare() {
+  v1::Envelope envelope;
+  envelope.mutable_share()->mutable_attempt()->set_task_key(kKey);
+  envelope.mutable_share()->mutable_attempt()->set_attempt(1);
+  envelope.mutable_share()->set_processors(2);
+  return envelope;
+}
+
 v1::Envelope SomeGetLog() {
   v1::Envelope envelope;
   envelope.mutable_get_log()->set_job_id("job");
@@ -104,7 +112,7 @@ std::string DecodeError(const EnvelopeFrames& frames, const EnvelopeLimits& limi
 TEST(Envelope, DecodesWhatItEncoded) {
   v1::Envelope heartbeat;
   heartbeat.mutable_heartbeat();
-  for (const v1::Envelope& envelope : {SomeDone(), SomeHello(), SomeDispatch(), SomeProgress(), SomeSubmit(), SomeJobStatus(), heartbeat}) {
+  for (const v1::Envelope& envelope : {SomeDone(), SomeHello(), SomeDispatch(), SomeProgress(), SomeShare(), SomeSubmit(), SomeJobStatus(), heartbeat}) {
     const EnvelopeFrames frames = EncodeEnvelope(envelope);
     EXPECT_EQ(frames.header, std::string("TREM\x01\0\0\0", 8));
     const auto decoded = DecodeEnvelope(frames.header, frames.body);
@@ -192,6 +200,8 @@ TEST(Envelope, RefusesValuesOutOfRangeAndNamesThem) {
        "dispatch: task kind is 42"},
       {SomeDispatch(), [](auto* e) { e->mutable_dispatch()->mutable_task()->mutable_enhance()->mutable_roi_in_sensor()->set_x0(5); },
        "dispatch: roi is [5, 0) x [0, 0)"},
+      {SomeShare(), [](auto* e) { e->mutable_share()->set_processors(0); }, "share: processors is 0; expected 1 to 4096"},
+      {SomeShare(), [](auto* e) { e->mutable_share()->set_processors(5000); }, "share: processors is 5000; expected 1 to 4096"},
       {SomeProgress(), [=](auto* e) { e->mutable_progress()->set_fraction(nan); }, "progress: fraction is nan; expected 0 to 1"},
       {SomeProgress(), [](auto* e) { e->mutable_progress()->set_fraction(1.5); }, "progress: fraction is 1.5; expected 0 to 1"},
       {SomeSubmit(), [](auto* e) { e->mutable_submit_job()->set_job_id("a/b"); }, "submit_job: job_id is 'a/b'"},

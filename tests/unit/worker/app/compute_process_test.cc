@@ -59,6 +59,15 @@ TEST_F(ComputeProcessTest, ComputesTaskAfterTaskAndReportsProgress) {
   ExpectWorks();
 }
 
+TEST_F(ComputeProcessTest, TellsARunningTaskHowManyProcessorsItMayUseAndTheNextOneBeginsWithOne) {
+  process_->SetProcessors(2);
+  const TaskOutcome two = Run("two");
+  EXPECT_TRUE(two.result.ok()) << two.result.status().ToString();
+  process_->SetProcessors(1);
+  const TaskOutcome one = Run("one");
+  EXPECT_TRUE(one.result.ok()) << one.result.status().ToString();
+}
+
 TEST_F(ComputeProcessTest, HandsOnWhatTheChildWritesToStderrItsLastWordsToo) {
   AttemptLog log;
   ComputeProcessOptions options = Options();

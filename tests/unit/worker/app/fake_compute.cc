@@ -1,6 +1,7 @@
 // A compute process that does to itself what native code does to a real one: the spec's key says what.
 #include <sys/resource.h>
 
+#include <algorithm>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
@@ -8,6 +9,7 @@
 #include <thread>
 #include <vector>
 
+#include "mosaic/base/parallel.h"
 #include "worker/app/compute_protocol.h"
 
 namespace {
@@ -35,6 +37,10 @@ TaskOutcome Misbehave(const v1::TaskSpec& spec, const std::function<bool(double)
     std::fputs("a corrupt frame\nhalf a line", stderr);
     if (what == "last-words") std::abort();
   }
+  if (what == "two") {  // Works until it may use two processors.
+    while (trem::ThreadsMax() < std::min(2, trem::ProcessorCount())) progress(0.5);
+  }
+  if (what == "one" && trem::ThreadsMax() != 1) return trem::Failed("may use " + std::to_string(trem::ThreadsMax()) + " processors");
   if (what == "fail") {
     TaskOutcome outcome = trem::Corrupt("window.pb is damaged");
     outcome.bad_artefacts = {std::string(64, 'a')};

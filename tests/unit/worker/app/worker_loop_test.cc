@@ -8,8 +8,10 @@
 #include <chrono>
 #include <functional>
 #include <limits>
+#include <mutex>
 #include <string>
 #include <thread>
+#include <vector>
 #include <zmq.hpp>
 
 #include "tests/unit/worker/app/worker_loop_harness.h"
@@ -116,6 +118,33 @@ TEST(WorkerLoop, ReportsProgressOfTheRunningAttempt) {
   finish = true;
   harness.Ack(harness.AwaitDone().attempt());
   EXPECT_TRUE(harness.Stop().ok());
+}
+
+TEST(WorkerLoop, PassesTheProcessorsOnThatItIsLentAndEveryTaskBeginsWithOne) {
+  Harness harness;
+  std::mutex mutex;
+  std::vector<int> shares;
+  harness.options().on_share = [&](int processors) {
+    const std::lock_guard lock(mutex);
+    shares.push_back(processors);
+  };
+  harness.StartWorker(UntilCancelled);
+  harness.Welcome();
+  const auto share = [&](const v1::TaskAttempt& attempt, std::uint32_t processors) {
+    v1::Envelope envelope;
+    *envelope.mutable_share()->mutable_attempt() = attempt;
+    envelope.mutable_share()->set_processors(processors);
+    harness.Send(envelope);
+  };
+  harness.Dispatch(kKeyA, 1);
+  share(Attempt(kKeyB, 1), 7);  // Not what runs.
+  share(Attempt(kKeyA, 1), 3);
+  harness.Cancel(Attempt(kKeyA, 1));
+  harness.Ack(harness.AwaitDone().attempt());
+  harness.Dispatch(kKeyA, 2);
+  harness.Await(v1::Envelope::kProgress);
+  EXPECT_TRUE(harness.Stop().ok());
+  EXPECT_EQ(shares, (std::vector<int>{1, 3, 1}));
 }
 
 TEST(WorkerLoop, TellsWhyATaskFailed) {

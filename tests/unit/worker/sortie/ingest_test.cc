@@ -206,6 +206,27 @@ TEST(Ingest, GivesTheSameBytesTwice) {
   EXPECT_EQ(SerializeDeterministic(*first), SerializeDeterministic(*second));
 }
 
+TEST(Ingest, GivesTheSameBytesForAnyNumberOfThreads) {
+  // More frames than are read at once, a cut in the middle of a run, and frames that are none.
+  const testing::TempDir folder;
+  WriteLeg(folder.path(), 0, 69, 1);
+  WriteLeg(folder.path(), 69, 8, 2);
+  WritePng(folder / FrameName(30), Image<float>(kWidth, kHeight, 5.0F));
+  testing::WriteFileContents(folder / FrameName(64), "no image");
+  const auto one = IngestSortie(SortieAt(folder.path()), {}, 1);
+  const auto three = IngestSortie(SortieAt(folder.path()), {}, 3);
+  ASSERT_TRUE(one.ok() && three.ok());
+  EXPECT_EQ(SerializeDeterministic(*one), SerializeDeterministic(*three));
+  ASSERT_EQ(one->spans_size(), 2);
+  EXPECT_EQ(one->spans(0).end(), 69U);
+  for (int i = 1; i < 69; ++i) {
+    if (one->frames(i).state() != v1::FRAME_USABLE) continue;
+    const double frames = i == 31 || i == 65 ? 2.0 : 1.0;  // Since the usable one before.
+    EXPECT_NEAR(one->frames(i).previous_from_current(2), 3.0 * frames, 0.2) << i;
+    EXPECT_NEAR(one->frames(i).previous_from_current(5), 2.0 * frames, 0.2) << i;
+  }
+}
+
 TEST(Ingest, SaysWhyASourceIsOfNoUse) {
   const testing::TempDir folder;
   EXPECT_EQ(IngestSortie(SortieAt(folder / "none"), {}).status().code(), StatusCode::kNotFound);

@@ -97,13 +97,13 @@ class AlignTask : public ::testing::Test {
     return window;
   }
 
-  Result<v1::TaskResult> Run(std::vector<v1::WindowResult> windows) {
+  Result<v1::TaskResult> Run(std::vector<v1::WindowResult> windows, int threads = 1) {
     v1::TaskSpec spec = spec_;
     spec.set_key("k");
     spec.set_kind(v1::ALIGN);
     *spec.add_inputs() = *PutProtoArtefact(*store_, "manifest.pb", manifest_);
     for (const v1::WindowResult& window : windows) *spec.add_inputs() = *PutProtoArtefact(*store_, "window.pb", window);
-    return RunAlignTask(spec, {&*store_, [](double) { return true; }});
+    return RunAlignTask(spec, {&*store_, [](double) { return true; }, threads});
   }
 
   std::vector<v1::WindowResult> WindowsOf(const align::SyntheticSortie& sortie) {
@@ -194,7 +194,7 @@ TEST_F(AlignTask, IsLocalWithoutTelemetryAndNamesLostFrames) {
   EXPECT_EQ(local->severity(), v1::WARNING);
 }
 
-TEST_F(AlignTask, GivesTheSameBytesForAnyOrderOfWindows) {
+TEST_F(AlignTask, GivesTheSameBytesForAnyOrderOfWindowsAndNumberOfThreads) {
   align::SyntheticOptions options;
   options.frame_count = 30;
   const align::SyntheticSortie sortie = MakeSortie(options);
@@ -202,7 +202,7 @@ TEST_F(AlignTask, GivesTheSameBytesForAnyOrderOfWindows) {
   std::vector<v1::WindowResult> windows = WindowsOf(sortie);
   const auto first = Run(windows);
   std::reverse(windows.begin(), windows.end());
-  const auto second = Run(windows);
+  const auto second = Run(windows, 4);
   ASSERT_TRUE(first.ok() && second.ok());
   EXPECT_EQ(first->outputs(0).sha256(), second->outputs(0).sha256());
   EXPECT_EQ(SerializeDeterministic(*first), SerializeDeterministic(*second));

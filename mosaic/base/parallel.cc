@@ -1,15 +1,19 @@
-#include "worker/sensor/parallel.h"
+#include "mosaic/base/parallel.h"
 
 #include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <atomic>
+#include <limits>
 #include <map>
 #include <mutex>
 
 namespace trem {
 namespace {
+
+std::atomic<int> threads_max{std::numeric_limits<int>::max()};
 
 // Kept for the life of the process: making one costs more than many loops take.
 tbb::task_arena& ArenaOf(int threads) {
@@ -21,14 +25,20 @@ tbb::task_arena& ArenaOf(int threads) {
 
 }  // namespace
 
+int ProcessorCount() { return tbb::info::default_concurrency(); }
+
+int ThreadsMax() { return std::min(threads_max.load(), ProcessorCount()); }
+
+void SetThreadsMax(int threads) { threads_max = std::max(threads, 1); }
+
 void ForEachIndex(int threads, int count, const std::function<void(int index, int slot)>& body) {
-  if (threads <= 1 || count <= 1) {
-    for (int index = 0; index < count; ++index) body(index, 0);
-    return;
-  }
-  ArenaOf(std::min(threads, tbb::info::default_concurrency())).execute([&] {
+  int first = 0;
+  // More threads may be allowed while a long loop goes on.
+  for (; first < count && (threads <= 1 || count - first <= 1 || threads_max <= 1); ++first) body(first, 0);
+  if (first == count) return;
+  ArenaOf(std::min(threads, ThreadsMax())).execute([&] {
     tbb::parallel_for(
-        tbb::blocked_range<int>(0, count, 1),
+        tbb::blocked_range<int>(first, count, 1),
         [&](const tbb::blocked_range<int>& range) {
           for (int index = range.begin(); index < range.end(); ++index) body(index, tbb::this_task_arena::current_thread_index());
         },
