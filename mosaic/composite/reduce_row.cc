@@ -25,6 +25,7 @@ namespace trem::reduce {
 
 // Sorts after every sample.
 inline constexpr float kAbsent = std::numeric_limits<float>::max();
+inline constexpr std::size_t kFewMax = 8;     // Rows that are kept in registers.
 inline constexpr std::size_t kLanesMax = 64;  // Floats of the widest vector that Highway knows, and more.
 
 struct Exchange {
@@ -392,30 +393,20 @@ HWY_NOINLINE void ReduceNone(int x, int count, const ReduceOptions& options, con
   for (float* const plane : {out.value, out.nmad, out.position_sigma}) StoreColumns(nan, plane, x, count);
 }
 
+using FewFunction = void (*)(const SampleRow* const*, int, int, const ReduceOptions&, const ReducedRow&);
+
+// ReduceFew of 1, 2, ... rows.
+template <std::size_t... kRowsLess1>
+constexpr auto FewFunctions(std::index_sequence<kRowsLess1...>) {
+  return std::array<FewFunction, sizeof...(kRowsLess1)>{ReduceFew<kRowsLess1 + 1>...};
+}
+
 void ReduceNear(const SampleRow* const* rows, std::size_t n, int x, int count, const ReduceOptions& options, const ReducedRow& out,
                 V* scratch) {
-  switch (n) {
-    case 0:
-      return ReduceNone(x, count, options, out);
-    case 1:
-      return ReduceFew<1>(rows, x, count, options, out);
-    case 2:
-      return ReduceFew<2>(rows, x, count, options, out);
-    case 3:
-      return ReduceFew<3>(rows, x, count, options, out);
-    case 4:
-      return ReduceFew<4>(rows, x, count, options, out);
-    case 5:
-      return ReduceFew<5>(rows, x, count, options, out);
-    case 6:
-      return ReduceFew<6>(rows, x, count, options, out);
-    case 7:
-      return ReduceFew<7>(rows, x, count, options, out);
-    case 8:
-      return ReduceFew<8>(rows, x, count, options, out);
-    default:
-      return ReduceMany(rows, n, x, count, options, out, scratch);
-  }
+  static constexpr auto kFew = FewFunctions(std::make_index_sequence<reduce::kFewMax>());
+  if (n == 0) return ReduceNone(x, count, options, out);
+  if (n <= kFew.size()) return kFew[n - 1](rows, x, count, options, out);
+  ReduceMany(rows, n, x, count, options, out, scratch);
 }
 
 void ReduceRowTarget(const SampleRow* const* all, std::size_t row_count, int count, const ReduceOptions& options, const ReducedRow& out,
