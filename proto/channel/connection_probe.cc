@@ -12,6 +12,8 @@ using Clock = std::chrono::steady_clock;
 
 // Seen so often it is no accident, such as a coordinator that is just being started again.
 constexpr int kOftenEnough = 3;
+// A side that wants keys may close before its greeting is read, which then tells nothing of keys: a few tries more, and one is read.
+constexpr int kBrokenOffEnough = 10;
 
 // What the events so far add up to.
 struct Seen {
@@ -19,7 +21,7 @@ struct Seen {
   bool other_mechanism = false;
   int refused = 0;     // No connection came to be.
   int broken_off = 0;  // One ended before hands were shaken.
-  bool is_clear() const { return other_mechanism || refused >= kOftenEnough || broken_off >= kOftenEnough; }
+  bool is_clear() const { return other_mechanism || refused >= kOftenEnough || broken_off >= kBrokenOffEnough; }
 };
 
 Reach Judge(const Seen& seen) {
