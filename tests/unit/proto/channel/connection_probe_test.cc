@@ -8,8 +8,11 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <cerrno>
 #include <filesystem>
+#include <string>
 #include <thread>
+#include <zmq.hpp>
 
 #include "proto/channel/router_channel.h"
 #include "tests/support/paths.h"
@@ -37,6 +40,45 @@ class Listener {
 
  private:
   std::unique_ptr<RouterChannel> channel_;
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+// Greets whoever connects as a side with this mechanism does (ZMTP 3.0, RFC 23) and never hangs up first, so that its greeting is read.
+class Greeter {
+ public:
+  explicit Greeter(const std::string& mechanism) : greeting_(64, '\0') {
+    greeting_[0] = '\xff';
+    greeting_[9] = '\x7f';
+    greeting_[10] = 3;
+    greeting_.replace(12, mechanism.size(), mechanism);
+    socket_.set(zmq::sockopt::rcvtimeo, 20);
+    socket_.bind("tcp://127.0.0.1:*");
+    thread_ = std::thread([this] { Greet(); });
+  }
+  ~Greeter() {
+    stop_ = true;
+    thread_.join();
+  }
+  std::string endpoint() const { return socket_.get(zmq::sockopt::last_endpoint); }
+
+ private:
+  void Greet() {
+    zmq::message_t peer, data;
+    while (!stop_) {
+      if (!socket_.recv(peer) || !socket_.recv(data) || data.size() > 0) continue;
+      try {  // Nothing comes for a connection that begins, and for one that has ended, which takes no answer or would be waited for.
+        if (socket_.send(peer, zmq::send_flags::sndmore | zmq::send_flags::dontwait))
+          socket_.send(zmq::buffer(greeting_), zmq::send_flags::none);
+      } catch (const zmq::error_t& error) {
+        if (error.num() != EHOSTUNREACH) throw;
+      }
+    }
+  }
+
+  std::string greeting_;
+  zmq::context_t context_;
+  zmq::socket_t socket_{context_, zmq::socket_type::stream};
   std::atomic<bool> stop_{false};
   std::thread thread_;
 };
@@ -110,7 +152,15 @@ TEST_F(ConnectionProbeTest, TellsAKeyThatIsNotAllowedFromAnotherCoordinators) {
 }
 
 TEST_F(ConnectionProbeTest, FindsThatOnlyOneSideUsesKeys) {
-  // Whichever side reads the other's greeting first hangs up; where that is always the listener, its own is lost with the connection.
+  const Greeter secure("CURVE");
+  EXPECT_EQ(Probe(secure.endpoint()), Reach::kKeysDiffer);
+  const Greeter plain("NULL");
+  EXPECT_EQ(Probe(plain.endpoint(), As(client_, coordinator_)), Reach::kKeysDiffer);
+}
+
+// Of two sides whose mechanisms differ, the one that reads the other's greeting first hangs up. Where that is always the listener, its own
+// is lost with the connection, and the probe knows no more than that it was hung up on; it never takes it for something else.
+TEST_F(ConnectionProbeTest, IsHungUpOnByAListenerThatReadsItsGreetingFirst) {
   const auto tells = [](Reach reach) { return reach == Reach::kKeysDiffer || reach == Reach::kOtherKey; };
   const Listener secure("tcp://127.0.0.1:*", with_keys_);
   EXPECT_TRUE(tells(Probe(secure.endpoint())));
