@@ -38,10 +38,10 @@ BorderFinder::BorderFinder(int width_px, int height_px)
   TREM_CHECK(width_px > 0 && height_px > 0);
 }
 
-void BorderFinder::Add(const Image<float>& frame) {
-  TREM_CHECK(frame.width() == static_cast<int>(columns_.size()) && frame.height() == static_cast<int>(rows_.size()));
-  std::vector<double> columns(columns_.size(), 0.0);
-  std::vector<double> rows(rows_.size(), 0.0);
+BorderFinder::LineMeans BorderFinder::MeansOf(const Image<float>& frame) {
+  LineMeans means;
+  std::vector<double>& columns = means.columns;
+  columns.assign(static_cast<std::size_t>(frame.width()), 0.0);
   for (int y = 0; y < frame.height(); ++y) {
     const float* row = frame.row(y);
     double sum = 0.0;
@@ -49,21 +49,26 @@ void BorderFinder::Add(const Image<float>& frame) {
       columns[x] += row[x];
       sum += row[x];
     }
-    rows[static_cast<std::size_t>(y)] = sum / frame.width();
+    means.rows.push_back(sum / frame.width());
   }
   for (double& column : columns) column /= frame.height();
-  const double reference = std::min(Reference(columns), Reference(rows));
+  return means;
+}
+
+void BorderFinder::Add(const LineMeans& means) {
+  TREM_CHECK(means.columns.size() == columns_.size() && means.rows.size() == rows_.size());
+  const double reference = std::min(Reference(means.columns), Reference(means.rows));
   if (!(reference > 1e-6)) return;  // A black frame says nothing about its edges.
   ++frame_count_;
-  const auto note = [reference](const std::vector<double>& means, std::vector<Line>* lines) {
-    for (std::size_t i = 0; i < means.size(); ++i) {
-      const double relative = means[i] / reference;
+  const auto note = [reference](const std::vector<double>& brightness, std::vector<Line>* lines) {
+    for (std::size_t i = 0; i < brightness.size(); ++i) {
+      const double relative = brightness[i] / reference;
       (*lines)[i].relative_sum += relative;
       (*lines)[i].black_count += relative < kBlack ? 1 : 0;
     }
   };
-  note(columns, &columns_);
-  note(rows, &rows_);
+  note(means.columns, &columns_);
+  note(means.rows, &rows_);
 }
 
 int BorderFinder::BorderWidth(const std::vector<Line>& lines) const {

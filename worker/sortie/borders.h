@@ -14,8 +14,16 @@ class BorderFinder {
  public:
   BorderFinder(int width_px, int height_px);
 
-  // `frame` of the constructor's size, non-negative grey levels.
-  void Add(const Image<float>& frame);
+  // Mean brightness of a frame's columns and rows.
+  struct LineMeans {
+    std::vector<double> columns;
+    std::vector<double> rows;
+  };
+  static LineMeans MeansOf(const Image<float>& frame);
+
+  // Of a frame of the constructor's size, non-negative grey levels.
+  void Add(const LineMeans& means);
+  void Add(const Image<float>& frame) { Add(MeansOf(frame)); }
 
   struct Finding {
     Roi valid_roi;     // The whole frame when there is no border.

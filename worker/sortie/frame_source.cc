@@ -47,7 +47,7 @@ class ImageSource final : public FrameSource {
     frame->path = path.string();
     frame->pts = 0;
     frame->time_s = static_cast<double>(frame->number) / FrameRate(source_);
-    frame->image = ReadGreyImage(path);
+    frame->read = [path] { return ReadGreyImage(path); };
     return true;
   }
   std::int64_t expected_count() const override { return end_ - source_.first_frame(); }
@@ -107,7 +107,7 @@ class VideoSource final : public FrameSource {
 
   Result<bool> Next(SourceFrame* frame) override {
     while (source_.max_frames() == 0 || given_ < source_.max_frames()) {
-      TREM_ASSIGN_OR_RETURN(const AvFramePtr decoded, stream_->Next());
+      TREM_ASSIGN_OR_RETURN(const std::shared_ptr<const AVFrame> decoded, stream_->Next());
       if (decoded == nullptr) {
         reached_end_ = true;
         if (number_ > source_.first_frame()) return false;
@@ -124,7 +124,7 @@ class VideoSource final : public FrameSource {
       frame->path = source_.path();
       frame->pts = pts_;
       frame->time_s = time_s_;
-      frame->image = GreyFromVideoFrame(*decoded);
+      frame->read = [decoded] { return GreyFromVideoFrame(*decoded); };
       return true;
     }
     return false;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -19,7 +20,7 @@ struct SourceFrame {
   std::int64_t number = 0;  // In the source, counted from 0, whatever source.first_frame says.
   std::int64_t pts = 0;
   double time_s = 0.0;
-  Result<GreyImage> image = Failed("not read");
+  std::function<Result<GreyImage>()> read;  // Gives its pixels; from any thread, as long as the source lives.
 };
 
 // A sortie's frames, once, in order, one at a time.
@@ -27,7 +28,7 @@ class FrameSource {
  public:
   virtual ~FrameSource() = default;
 
-  // False at the end (of the source, or after source.max_frames).
+  // False at the end (of the source, or after source.max_frames). Of a video the frame is decoded here.
   virtual Result<bool> Next(SourceFrame* frame) = 0;
   // Frames that Next will give, as far as that is known; 0: unknown.
   virtual std::int64_t expected_count() const = 0;

@@ -77,11 +77,17 @@ ValueRange MiddleRange(const Image<float>& frame) {
   return range;
 }
 
-void QuantileSampler::Add(const Image<float>& frame) {
-  if (frame_count_++ % frame_stride_ != 0) return;
+std::vector<float> QuantileSampler::PixelsOf(const Image<float>& frame) {
   // An odd stride that shares no factor with most widths visits all columns.
   const std::size_t stride = std::max<std::size_t>(1, frame.pixels().size() / kSamplePerFrame) | 1U;
-  for (std::size_t i = 0; i < frame.pixels().size(); i += stride) values_.push_back(frame.pixels()[i]);
+  std::vector<float> pixels;
+  for (std::size_t i = 0; i < frame.pixels().size(); i += stride) pixels.push_back(frame.pixels()[i]);
+  return pixels;
+}
+
+void QuantileSampler::Add(const std::vector<float>& pixels) {
+  if (frame_count_++ % frame_stride_ != 0) return;
+  values_.insert(values_.end(), pixels.begin(), pixels.end());
   if (values_.size() <= kSampleMax) return;
   std::size_t kept = 0;
   for (std::size_t i = 0; i < values_.size(); i += 2) values_[kept++] = values_[i];

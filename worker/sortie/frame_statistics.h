@@ -26,7 +26,10 @@ ValueRange MiddleRange(const Image<float>& frame);
 // Quantiles of all pixels of many frames from a bounded, evenly thinned sample (at most 2^20 values).
 class QuantileSampler {
  public:
-  void Add(const Image<float>& frame);
+  // The pixels that a frame would give to the sample.
+  static std::vector<float> PixelsOf(const Image<float>& frame);
+  void Add(const std::vector<float>& pixels);
+  void Add(const Image<float>& frame) { Add(PixelsOf(frame)); }
   // `p` in [0, 1], counted above the darkest `skipped` part of the sample (black borders). 0 without values.
   double Quantile(double p, double skipped) const;
 

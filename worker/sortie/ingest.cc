@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <deque>
 #include <limits>
 #include <memory>
 #include <opencv2/core/utility.hpp>
@@ -15,6 +16,7 @@
 #include "proto/codec/convert.h"
 #include "worker/sortie/borders.h"
 #include "worker/sortie/control_csv.h"
+#include "worker/sortie/frame_measures.h"
 #include "worker/sortie/frame_motion.h"
 #include "worker/sortie/frame_reader.h"
 #include "worker/sortie/frame_source.h"
@@ -27,12 +29,15 @@
 namespace trem {
 namespace {
 
-// Frames that are read (and looked at for borders) while the motion between those before them is measured; their reduced versions wait.
-constexpr std::size_t kBatchFrames = 32;
+// Usable frames by which the black borders are found; before, no motion can be measured.
+constexpr std::size_t kBorderFrames = 32;
 // The motion of so many successive frames is measured in one go, without knowledge of what was before them: runs may be measured at once.
 constexpr std::size_t kRunFrames = 8;
+// Frames under way for each thread: two runs, one that is measured and one that is read meanwhile.
+constexpr int kItemsPerThread = 16;
+// Frames are measured at once as far as they have no more pixels than this together.
+constexpr long long kPixelsAtOnceMax = 1LL << 25;
 constexpr double kQuantisationSigma = 0.29;  // Of an integer grey level: 1 / sqrt(12).
-constexpr double kBlankSpan = 2.0;           // Grey levels of an 8-bit source.
 // More saturated pixels than this are worth a note.
 constexpr double kSaturatedPartNoted = 0.01;
 constexpr std::size_t kFingerprintsMax = 16;
@@ -83,113 +88,130 @@ class Ingest {
     borders_.emplace(source_->width_px(), source_->height_px());
   }
 
-  // The next frames are read while the ones before are linked.
+  // A usable frame whose motion is to be measured.
+  struct WaitingFrame {
+    int index = 0;
+    std::shared_ptr<const Image<float>> reduced;
+  };
+  // Successive ones.
+  struct FrameRun {
+    std::shared_ptr<const Image<float>> before;  // The last of the run before; null: none.
+    std::vector<WaitingFrame> frames;
+    std::vector<std::optional<MotionLink>> links;  // Parallel to frames, once measured.
+  };
+  // A frame on its way, and a run that was complete when it was accepted; seldom its own.
+  struct Item {
+    SourceFrame frame;
+    FrameMeasures measures;
+    FrameRun run;
+  };
+
+  // Frames are read, and runs of them linked, at once; each frame is accepted, and each run noted, in its turn.
   Status ReadAndLink() {
-    std::vector<WaitingFrame> batch;
-    do {
-      batch = std::exchange(waiting_, {});
-      if (!batch.empty() && !valid_roi_) BeginMotion();
-      const int runs = static_cast<int>((batch.size() + kRunFrames - 1) / kRunFrames);
-      std::vector<std::optional<MotionLink>> links(batch.size());
-      Status read;
-      ForEachIndex(threads_, runs + 1, [&](int index, int) {
-        if (index == 0) {
-          read = ReadBatch();
-        } else {
-          const auto run = static_cast<std::size_t>(index) - 1;
-          LinkRun(batch, run * kRunFrames, &links);
-        }
-      });
-      TREM_RETURN_IF_ERROR(read);
-      for (std::size_t i = 0; i < batch.size(); ++i) SetLink(batch[i], links[i]);
-      if (!batch.empty()) last_linked_ = std::move(batch.back().reduced);
-    } while (!waiting_.empty());
+    measuring_ = {source_->width_px(), source_->height_px(), std::nullopt, mask_.has_value() ? &*mask_ : nullptr,
+                  filler_.has_value() ? &*filler_ : nullptr};
+    if (sortie_.sensor().has_saturation_level()) measuring_.saturation_level = sortie_.sensor().saturation_level();
+    const long long pixels = static_cast<long long>(source_->width_px()) * source_->height_px();
+    const int threads = static_cast<int>(std::clamp<long long>(kPixelsAtOnceMax / std::max(pixels, 1LL), 1, std::max(threads_, 1)));
+    using Step = PipelineStep<Item>;
+    ForEachItem<Item>(
+        threads, threads * kItemsPerThread, [this] { return NextItem(); },
+        {{Step::Order::kAtOnce, [this](Item& item) { item.measures = MeasureFrame(std::exchange(item.frame.read, {})(), measuring_); }},
+         {Step::Order::kOneByOne, [this](Item& item) { Accept(item); }},
+         {Step::Order::kAtOnce, [this](Item& item) { LinkRun(&item.run); }},
+         {Step::Order::kOneByOne, [this](Item& item) { NoteLinks(item.run); }}});
+    TREM_RETURN_IF_ERROR(read_);
+    if (!valid_roi_ && !waiting_.empty()) BeginMotion();
+    while (!waiting_.empty()) CompleteRun();
+    ForEachIndex(threads_, static_cast<int>(runs_.size()), [this](int index, int) { LinkRun(&runs_[static_cast<std::size_t>(index)]); });
+    for (const FrameRun& run : runs_) NoteLinks(run);
+    SetLinks();
     if (usable_count_ > 0) return {};
     if (!first_problem_.ok()) return first_problem_.WithPrefix(sortie_.source().path() + ": no frame is usable; the first problem");
     return InvalidInput(sortie_.source().path() + ": no frame is usable: all " + std::to_string(manifest_.frames_size()) +
                         " are blank; expected pictures");
   }
 
-  // Until enough usable frames wait, or the source ends.
-  Status ReadBatch() {
-    SourceFrame frame;
-    while (!has_ended_ && waiting_.size() < kBatchFrames) {
-      const int index = manifest_.frames_size();
-      const auto expected = static_cast<double>(source_->expected_count());
-      // Without a known count the fraction only approaches 1.
-      const double fraction = expected > 0.0 ? std::min(1.0, index / expected) : 1.0 - 1.0 / (1.0 + index / 500.0);
-      if (progress_ && !progress_(fraction)) return Cancelled(sortie_.source().path() + ": ingest was stopped");
-      TREM_ASSIGN_OR_RETURN(const bool more, source_->Next(&frame));
-      has_ended_ = !more;
-      if (has_ended_) break;
-      v1::ManifestFrame* entry = manifest_.add_frames();
-      entry->set_name(frame.name);
-      entry->set_pts(frame.pts);
-      entry->set_time_s(frame.time_s);
-      entry->set_state(Judge(frame));
-      if (!frame.image.ok() && first_problem_.ok()) first_problem_ = frame.image.status();
-      if (entry->state() == v1::FRAME_USABLE) Measure(index, std::move(frame.image->pixels));
+  // Null at the source's end, and where there is no going on: then read_ says why.
+  std::unique_ptr<Item> NextItem() {
+    const auto expected = static_cast<double>(source_->expected_count());
+    // Without a known count the fraction only approaches 1.
+    const double fraction = expected > 0.0 ? std::min(1.0, given_count_ / expected) : 1.0 - 1.0 / (1.0 + given_count_ / 500.0);
+    if (progress_ && !progress_(fraction)) {
+      read_ = Cancelled(sortie_.source().path() + ": ingest was stopped");
+      return nullptr;
     }
-    return {};
+    auto item = std::make_unique<Item>();
+    const Result<bool> more = source_->Next(&item->frame);
+    read_ = more.status();
+    if (!more.ok() || !*more) return nullptr;
+    ++given_count_;
+    return item;
   }
 
-  v1::FrameState Judge(const SourceFrame& frame) {
+  void Accept(Item& item) {
+    const int index = manifest_.frames_size();
+    v1::ManifestFrame* entry = manifest_.add_frames();
+    entry->set_name(item.frame.name);
+    entry->set_pts(item.frame.pts);
+    entry->set_time_s(item.frame.time_s);
+    entry->set_state(Judge(item.frame, item.measures));
+    if (!item.measures.read.ok() && first_problem_.ok()) first_problem_ = item.measures.read;
+    if (entry->state() == v1::FRAME_USABLE) {
+      Gather(item.measures);
+      waiting_.push_back({index, std::make_shared<const Image<float>>(std::move(item.measures.reduced))});
+    }
+    item.measures = {};
+    if (!valid_roi_ && waiting_.size() >= kBorderFrames) BeginMotion();
+    while (valid_roi_ && waiting_.size() >= kRunFrames) CompleteRun();
+    if (runs_.empty()) return;
+    item.run = std::move(runs_.front());
+    runs_.pop_front();
+  }
+
+  v1::FrameState Judge(const SourceFrame& frame, const FrameMeasures& measures) {
     const std::string subject = "frame " + std::to_string(manifest_.frames_size() - 1);
-    if (!frame.image.ok()) {
-      Note(v1::WARNING, "frame_unreadable", frame.name, subject + ", " + frame.image.status().message());
+    if (!measures.read.ok()) {
+      Note(v1::WARNING, "frame_unreadable", frame.name, subject + ", " + measures.read.message());
       return v1::FRAME_UNREADABLE;
     }
-    const GreyImage& image = *frame.image;
-    if (image.pixels.width() != source_->width_px() || image.pixels.height() != source_->height_px()) {
+    if (!measures.SizeIs(measuring_)) {
       Note(v1::WARNING, "frame_wrong_size", frame.name,
-           subject + ", " + frame.path + ": is " + std::to_string(image.pixels.width()) + " x " + std::to_string(image.pixels.height()) +
+           subject + ", " + frame.path + ": is " + std::to_string(measures.width_px) + " x " + std::to_string(measures.height_px) +
                " pixels; expected " + std::to_string(source_->width_px()) + " x " + std::to_string(source_->height_px()) +
                " like most frames");
       return v1::FRAME_WRONG_SIZE;
     }
-    const std::uint64_t fingerprint = PixelFingerprint(image.pixels);
-    RememberFingerprint(fingerprint);
-    const ValueRange range = MiddleRange(image.pixels);
-    if (range.high - range.low <= (image.grey_max == 255.0 ? kBlankSpan : 0.0)) {
+    RememberFingerprint(measures.fingerprint);
+    if (measures.blank) {
       Note(v1::WARNING, "frame_blank", frame.name,
-           subject + " is blank: its grey levels lie between " + std::to_string(range.low) + " and " + std::to_string(range.high));
+           subject + " is blank: its grey levels lie between " + std::to_string(measures.middle.low) + " and " +
+               std::to_string(measures.middle.high));
       return v1::FRAME_BLANK;
     }
-    if (usable_count_ > 0 && fingerprint == last_fingerprint_) {
+    if (usable_count_ > 0 && measures.fingerprint == last_fingerprint_) {
       Note(v1::INFO, "frame_repeated", frame.name, subject + " repeats the frame before it bit by bit");
       return v1::FRAME_REPEATED;
     }
-    if (usable_count_ > 0 && image.grey_max != grey_max_) {
+    if (usable_count_ > 0 && measures.grey_max != grey_max_) {
       Note(v1::WARNING, "frame_unreadable", frame.name,
-           subject + ", " + frame.path + ": its grey levels end at " + std::to_string(image.grey_max) + "; expected " +
+           subject + ", " + frame.path + ": its grey levels end at " + std::to_string(measures.grey_max) + "; expected " +
                std::to_string(grey_max_) + " as in the first frame");
       return v1::FRAME_UNREADABLE;
     }
-    last_fingerprint_ = fingerprint;
-    grey_max_ = image.grey_max;
+    last_fingerprint_ = measures.fingerprint;
+    grey_max_ = measures.grey_max;
     return v1::FRAME_USABLE;
   }
 
-  void Measure(int index, Image<float> pixels) {
+  void Gather(const FrameMeasures& measures) {
     ++usable_count_;
-    const std::optional<double> saturation = SaturationLevel();
-    if (saturation.has_value()) {
-      const auto level = static_cast<float>(*saturation);
-      saturated_count_ += std::count_if(pixels.pixels().begin(), pixels.pixels().end(), [level](float value) { return value >= level; });
-    }
-    if (filler_.has_value()) filler_->Fill(&pixels);
-    borders_->Add(pixels);
-    sampler_.Add(pixels);
-    const Roi middle = {pixels.width() / 10, pixels.height() / 10, pixels.width() - pixels.width() / 10,
-                        pixels.height() - pixels.height() / 10};
-    noise_sigmas_.push_back(EstimateNoiseSigma(pixels, middle, mask_.has_value() ? &mask_->usable : nullptr));
-    waiting_.push_back({index, ReduceFrame(pixels)});
+    saturated_count_ += measures.saturated_count;
+    borders_->Add(measures.line_means);
+    sampler_.Add(measures.sample);
+    noise_sigmas_.push_back(measures.noise_sigma);
   }
 
-  struct WaitingFrame {
-    int index = 0;
-    Image<float> reduced;
-  };
   // When the borders are known.
   void BeginMotion() {
     valid_roi_ = borders_->Find().valid_roi;
@@ -197,21 +219,41 @@ class Ingest {
     if (LooksForVignetting()) vignetting_.emplace(source_->width_px(), source_->height_px(), *valid_roi_, kUnsaturatedPart * level_max);
   }
 
-  // How the frames of a run lie to the usable ones before them.
-  void LinkRun(const std::vector<WaitingFrame>& batch, std::size_t begin, std::vector<std::optional<MotionLink>>* links) const {
-    FrameMotion motion(source_->width_px(), source_->height_px(), *valid_roi_);
-    const Image<float>& before = begin > 0 ? batch[begin - 1].reduced : last_linked_;
-    if (!before.empty()) (void)motion.Link(before);
-    for (std::size_t i = begin; i < std::min(begin + kRunFrames, batch.size()); ++i) (*links)[i] = motion.Link(batch[i].reduced);
+  // Moves frames that wait to a run of their own.
+  void CompleteRun() {
+    FrameRun run;
+    run.before = last_waiting_;
+    const auto end = waiting_.begin() + static_cast<std::ptrdiff_t>(std::min(kRunFrames, waiting_.size()));
+    run.frames.assign(waiting_.begin(), end);
+    waiting_.erase(waiting_.begin(), end);
+    last_waiting_ = run.frames.back().reduced;
+    runs_.push_back(std::move(run));
   }
 
-  void SetLink(const WaitingFrame& frame, const std::optional<MotionLink>& link) {
-    if (vignetting_.has_value())
-      vignetting_->Add(frame.reduced, link.has_value() ? std::optional<Affine>(link->previous_from_current) : std::nullopt);
-    if (!link.has_value()) return;
-    v1::ManifestFrame* entry = manifest_.mutable_frames(frame.index);
-    ToProto(link->previous_from_current, entry->mutable_previous_from_current());
-    entry->set_motion_correlation(link->correlation);
+  // How the frames of a run lie to the usable ones before them.
+  void LinkRun(FrameRun* run) const {
+    if (run->frames.empty()) return;
+    FrameMotion motion(source_->width_px(), source_->height_px(), *valid_roi_);
+    if (run->before != nullptr) (void)motion.Link(*run->before);
+    for (const WaitingFrame& frame : run->frames) run->links.push_back(motion.Link(*frame.reduced));
+  }
+
+  void NoteLinks(const FrameRun& run) {
+    for (std::size_t i = 0; i < run.frames.size(); ++i) {
+      const std::optional<MotionLink>& link = run.links[i];
+      if (vignetting_.has_value()) {
+        vignetting_->Add(*run.frames[i].reduced, link.has_value() ? std::optional<Affine>(link->previous_from_current) : std::nullopt);
+      }
+      if (link.has_value()) links_.emplace_back(run.frames[i].index, *link);
+    }
+  }
+
+  void SetLinks() {
+    for (const auto& [index, link] : links_) {
+      v1::ManifestFrame* entry = manifest_.mutable_frames(index);
+      ToProto(link.previous_from_current, entry->mutable_previous_from_current());
+      entry->set_motion_correlation(link.correlation);
+    }
   }
 
   // Levels of a factor on the light have a zero: those of integer sources, or of others on request.
@@ -335,12 +377,17 @@ class Ingest {
   long long saturated_count_ = 0;
   QuantileSampler sampler_;
   std::vector<double> noise_sigmas_;
-  bool has_ended_ = false;  // The source.
+  FrameMeasuring measuring_;
+  Status read_;
+  double given_count_ = 0.0;  // Frames that the source gave.
   Status first_problem_;
-  std::vector<WaitingFrame> waiting_;
+  // Frames and runs whose motion is to be measured, in order.
+  std::deque<WaitingFrame> waiting_;
+  std::shared_ptr<const Image<float>> last_waiting_;  // The last frame that left waiting_.
+  std::deque<FrameRun> runs_;
+  std::vector<std::pair<int, MotionLink>> links_;  // With the frame's index.
   std::optional<Roi> valid_roi_;
   std::optional<VignettingFinder> vignetting_;
-  Image<float> last_linked_;  // Empty: none.
   int usable_count_ = 0;
   double grey_max_ = 0.0;
   std::uint64_t last_fingerprint_ = 0;

@@ -38,33 +38,52 @@ using Parameters = std::array<double, kParameterCount>;
 
 double Sinc(double x) { return std::abs(x) < 1e-9 ? 1.0 : std::sin(std::numbers::pi * x) / (std::numbers::pi * x); }
 
-// (log model - log power) * weight.
-struct LogPowerResidual {
-  FrameSpectrum::Bin bin;
-  double fill_factor = 0.0;
-  double weight = 1.0;
-
-  template <typename T>
-  bool operator()(const T* p, T* residual) const {
-    using std::exp;
-    using std::log;
-    T power = exp(p[kLogNoise]);
+// (log model - log power) * weight. What does not depend on the parameters is computed once: fits ask for thousands of bins again and
+// again.
+class LogPowerResidual {
+ public:
+  LogPowerResidual(const FrameSpectrum::Bin& bin, double fill_factor, double weight) : log_power_(std::log(bin.power)), weight_(weight) {
+    Alias* alias = aliases_.data();
     for (int k = -kAliases; k <= kAliases; ++k) {
       for (int l = -kAliases; l <= kAliases; ++l) {
         const double fx = bin.fx + k;
         const double fy = bin.fy + l;
         const double squared = fx * fx + fy * fy;
         const double angle = std::atan2(fy, fx);
-        const double box = std::pow(Sinc(fill_factor * fx) * Sinc(fill_factor * fy), 2);
-        const double optics = 4.0 * std::numbers::pi * std::numbers::pi * squared;
-        power += box * exp(p[kLogAmplitude] - 0.5 * std::log(squared) * p[kScene] - optics * p[kSigma] * p[kSigma] +
-                           std::cos(2.0 * angle) * p[kCos2] + std::sin(2.0 * angle) * p[kSin2] + std::cos(4.0 * angle) * p[kCos4] +
-                           std::sin(4.0 * angle) * p[kSin4]);
+        alias->box = std::pow(Sinc(fill_factor * fx) * Sinc(fill_factor * fy), 2);
+        alias->log_frequency = 0.5 * std::log(squared);
+        alias->optics = 4.0 * std::numbers::pi * std::numbers::pi * squared;
+        alias->cos2 = std::cos(2.0 * angle);
+        alias->sin2 = std::sin(2.0 * angle);
+        alias->cos4 = std::cos(4.0 * angle);
+        alias->sin4 = std::sin(4.0 * angle);
+        ++alias;
       }
     }
-    residual[0] = (log(power) - std::log(bin.power)) * weight;
+  }
+
+  template <typename T>
+  bool operator()(const T* p, T* residual) const {
+    using std::exp;
+    using std::log;
+    T power = exp(p[kLogNoise]);
+    for (const Alias& alias : aliases_) {
+      power += alias.box * exp(p[kLogAmplitude] - alias.log_frequency * p[kScene] - alias.optics * p[kSigma] * p[kSigma] +
+                               alias.cos2 * p[kCos2] + alias.sin2 * p[kSin2] + alias.cos4 * p[kCos4] + alias.sin4 * p[kSin4]);
+    }
+    residual[0] = (log(power) - log_power_) * weight_;
     return true;
   }
+
+ private:
+  struct Alias {
+    double box, log_frequency, optics, cos2, sin2, cos4, sin4;
+  };
+  static constexpr int kSide = 2 * kAliases + 1;
+
+  std::array<Alias, kSide * kSide> aliases_;
+  double log_power_;
+  double weight_;
 };
 
 struct ExponentPrior {
@@ -96,7 +115,7 @@ double Misfit(const std::vector<FrameSpectrum::Bin>& bins, double fill_factor, c
   std::map<std::pair<int, int>, Cell> cells;
   for (const FrameSpectrum::Bin& bin : bins) {
     double residual = 0.0;
-    LogPowerResidual{bin, fill_factor, 1.0}(p.data(), &residual);
+    LogPowerResidual(bin, fill_factor, 1.0)(p.data(), &residual);
     const auto ring = static_cast<int>(std::hypot(bin.fx, bin.fy) / kRing);
     const auto sector = static_cast<int>(std::atan2(bin.fy, bin.fx) / std::numbers::pi * kSectors);
     Cell& cell = cells[{ring, sector}];
@@ -118,7 +137,7 @@ Fit FitModel(const std::vector<FrameSpectrum::Bin>& bins, double fill_factor, do
     const double weight = scale * RingWeight(bin);
     auto* loss = new ceres::SoftLOneLoss(kLossScale * misfit * weight);
     problem.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<LogPowerResidual, 1, kParameterCount>(new LogPowerResidual{bin, fill_factor, weight}), loss,
+        new ceres::AutoDiffCostFunction<LogPowerResidual, 1, kParameterCount>(new LogPowerResidual(bin, fill_factor, weight)), loss,
         p->data());
   }
   problem.AddResidualBlock(new ceres::AutoDiffCostFunction<ExponentPrior, 1, kParameterCount>(new ExponentPrior), nullptr, p->data());
