@@ -29,7 +29,8 @@ class ContentRounds {
  public:
   ContentRounds(const AlignGraph& graph, const FeatureSource& source, int threads) : graph_(graph), source_(source), threads_(threads) {}
 
-  Status Extract(const std::function<bool()>& progress) {
+  // `beside` is called once meanwhile: what does not depend on the features.
+  Status Extract(const std::function<bool()>& progress, const std::function<Status()>& beside) {
     features_.resize(graph_.scenes.size());
     takes_part_.assign(graph_.scenes.size(), false);
     const std::size_t limit = static_cast<std::size_t>(options_.scenes_max);
@@ -37,8 +38,13 @@ class ContentRounds {
     std::vector<std::size_t> scenes;
     for (std::size_t s = 0; s < graph_.scenes.size(); s += std::max<std::size_t>(1, step)) scenes.push_back(s);
     std::vector<Status> statuses(scenes.size());
-    ForEachIndex(threads_, static_cast<int>(scenes.size()), [&](int index, int) {
-      const auto k = static_cast<std::size_t>(index);
+    Status status_beside;
+    ForEachIndex(threads_, static_cast<int>(scenes.size()) + 1, [&](int index, int) {
+      if (index == 0) {
+        status_beside = beside();
+        return;
+      }
+      const auto k = static_cast<std::size_t>(index) - 1;
       if (!progress()) {
         statuses[k] = Cancelled("the alignment was stopped on request");
         return;
@@ -47,6 +53,7 @@ class ContentRounds {
       statuses[k] = features.status();
       if (features.ok()) features_[scenes[k]] = std::move(*features);
     });
+    TREM_RETURN_IF_ERROR(status_beside);
     for (std::size_t k = 0; k < scenes.size(); ++k) {
       TREM_RETURN_IF_ERROR(statuses[k]);
       takes_part_[scenes[k]] = static_cast<int>(features_[scenes[k]].x_in_scene.size()) >= options_.inliers_min;
@@ -359,11 +366,11 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
     return Solve(graph, content, options, with_sigma, tick, state);
   };
   const bool hilly = graph.input.ground && graph.input.ground->spacing() > 0.0;
-  if (features || hilly) TREM_RETURN_IF_ERROR(solve(false).status());
+  if (!features && hilly) TREM_RETURN_IF_ERROR(solve(false).status());
   std::vector<SceneLevels> levels(graph.scenes.size());
   if (features) {
     ContentRounds rounds(graph, features, options.threads);
-    TREM_RETURN_IF_ERROR(rounds.Extract(tick));
+    TREM_RETURN_IF_ERROR(rounds.Extract(tick, [&] { return solve(false).status(); }));
     levels = rounds.TakeLevels();
     for (int round = 0; round < kContentRounds; ++round) {
       const std::size_t before = content.size();
@@ -375,7 +382,7 @@ Result<AlignSolution> Align(AlignInput input, const AlignOptions& options, const
   }
   TREM_ASSIGN_OR_RETURN(const SolveReport report, solve(true));
   UpdateShifts(graph, Shifts::kPlaces, state);
-  const std::vector<LevelTie> level_ties = FindLevelTies(graph, state, levels);
+  const std::vector<LevelTie> level_ties = FindLevelTies(graph, state, levels, options.threads);
   TREM_ASSIGN_OR_RETURN(const PhotometricBalance balance, Balance(graph, level_ties));
 
   solution.georeferenced = AnyPieceAnchored(state);

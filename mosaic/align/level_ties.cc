@@ -4,8 +4,10 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <utility>
 
 #include "mosaic/align/content_ties.h"
+#include "mosaic/base/parallel.h"
 
 namespace trem::align {
 namespace {
@@ -97,7 +99,7 @@ FieldPowers FieldPowersAt(const AlignGraph& graph, int scene, const Eigen::Vecto
   return powers;
 }
 
-std::vector<LevelTie> FindLevelTies(const AlignGraph& graph, const AlignState& state, std::span<const SceneLevels> levels) {
+std::vector<LevelTie> FindLevelTies(const AlignGraph& graph, const AlignState& state, std::span<const SceneLevels> levels, int threads) {
   ContentOptions options;
   options.overlap_min = 0.1;
   options.partners_max = 9;
@@ -105,23 +107,24 @@ std::vector<LevelTie> FindLevelTies(const AlignGraph& graph, const AlignState& s
   options.may_share_frames = true;
   std::vector<bool> takes_part(graph.scenes.size());
   for (std::size_t s = 0; s < levels.size(); ++s) takes_part[s] = !levels[s].empty();
-  std::vector<LevelTie> ties;
-  for (const auto& [a, b] : CandidatePairs(graph, state, takes_part, options)) {
-    LevelTie tie{a, b, {}};
+  const std::vector<std::pair<int, int>> candidates = CandidatePairs(graph, state, takes_part, options);
+  std::vector<LevelTie> ties(candidates.size());
+  ForEachIndex(threads, static_cast<int>(candidates.size()), [&](int index, int) {
+    const auto [a, b] = candidates[static_cast<std::size_t>(index)];
+    LevelTie& tie = ties[static_cast<std::size_t>(index)];
+    tie = {a, b, {}};
     const SceneLevels& blocks = levels[static_cast<std::size_t>(a)];
-    std::vector<std::pair<int, int>> places;
-    for (int row = 0; row + kPatchBlocks <= blocks.rows; row += kPatchBlocks) {
-      for (int column = 0; column + kPatchBlocks <= blocks.columns; column += kPatchBlocks) places.emplace_back(column, row);
-    }
     std::vector<LevelPair> pairs;
-    for (const auto& [column, row] : places) {
-      if (const std::optional<LevelPair> pair = PairAt(graph, state, levels, a, b, column, row)) pairs.push_back(*pair);
+    for (int row = 0; row + kPatchBlocks <= blocks.rows; row += kPatchBlocks) {
+      for (int column = 0; column + kPatchBlocks <= blocks.columns; column += kPatchBlocks) {
+        if (const std::optional<LevelPair> pair = PairAt(graph, state, levels, a, b, column, row)) pairs.push_back(*pair);
+      }
     }
     const std::size_t count = std::min<std::size_t>(pairs.size(), kPairsMax);
-    if (count < static_cast<std::size_t>(kPairsMin)) continue;
+    if (count < static_cast<std::size_t>(kPairsMin)) return;
     for (std::size_t k = 0; k < count; ++k) tie.pairs.push_back(pairs[(2 * k + 1) * pairs.size() / (2 * count)]);
-    ties.push_back(std::move(tie));
-  }
+  });
+  std::erase_if(ties, [](const LevelTie& tie) { return tie.pairs.empty(); });
   return ties;
 }
 

@@ -37,7 +37,8 @@ struct LevelTie {
   std::vector<LevelPair> pairs;
 };
 
-// Scenes of one piece that overlap in the solved state; `levels` is parallel to AlignGraph::scenes (empty: takes no part). Deterministic.
-std::vector<LevelTie> FindLevelTies(const AlignGraph& graph, const AlignState& state, std::span<const SceneLevels> levels);
+// Scenes of one piece that overlap in the solved state; `levels` is parallel to AlignGraph::scenes (empty: takes no part). Deterministic,
+// whatever the number of threads.
+std::vector<LevelTie> FindLevelTies(const AlignGraph& graph, const AlignState& state, std::span<const SceneLevels> levels, int threads = 1);
 
 }  // namespace trem::align
