@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mosaic/base/parallel.h"
 #include "mosaic/publish/report_map.h"
 
 namespace trem {
@@ -146,12 +147,18 @@ std::string Maps(const ReportData& data) {
   return html + "</div>\n";
 }
 
-Result<std::string> Charts(const ReportData& data) {
+Result<std::string> Charts(const ReportData& data, int threads) {
+  std::vector<Result<std::string>> pngs(data.charts.size(), std::string());
+  ForEachIndex(threads, static_cast<int>(pngs.size()), [&](int index, int) {
+    const auto i = static_cast<std::size_t>(index);
+    if (HasValue(data.charts[i])) pngs[i] = LineChartPng(data.charts[i]);
+  });
   std::string html;
-  for (const LineChart& chart : data.charts) {
-    if (!HasValue(chart)) continue;
-    TREM_ASSIGN_OR_RETURN(const std::string png, LineChartPng(chart));
-    html += "<figure><img alt=\"" + HtmlEscaped(chart.title) + "\" src=\"data:image/png;base64," + Base64(png) + "\"></figure>\n";
+  for (std::size_t i = 0; i < pngs.size(); ++i) {
+    TREM_RETURN_IF_ERROR(pngs[i].status());
+    if (pngs[i]->empty()) continue;
+    html +=
+        "<figure><img alt=\"" + HtmlEscaped(data.charts[i].title) + "\" src=\"data:image/png;base64," + Base64(*pngs[i]) + "\"></figure>\n";
   }
   return html.empty() ? html : "<h2>Frame by frame</h2>\n<div class=\"pair\">\n" + html + "</div>\n";
 }
@@ -214,7 +221,7 @@ std::string HtmlEscaped(const std::string& text) {
 
 std::string HtmlPageStart(const std::string& title) { return kHeadBeforeTitle + HtmlEscaped(title) + kHeadAfterTitle; }
 
-Result<std::string> RenderReport(const ReportData& data) {
+Result<std::string> RenderReport(const ReportData& data, int threads) {
   std::string html = HtmlPageStart("Mosaic report: " + data.sortie);
   html += "<h1>" + HtmlEscaped(data.sortie) + "</h1>\n";
   html += fmt::format("<p>{} of {} frames made a mosaic of {} x {} pixels at {:.4g} {} a pixel.</p>\n", data.registered_count,
@@ -229,7 +236,7 @@ Result<std::string> RenderReport(const ReportData& data) {
   html += MapSvg(data);
   html += Crops(data);
   html += Maps(data);
-  TREM_ASSIGN_OR_RETURN(const std::string charts, Charts(data));
+  TREM_ASSIGN_OR_RETURN(const std::string charts, Charts(data, threads));
   html += charts;
   html += Notes(data);
   html += Numbers(data);

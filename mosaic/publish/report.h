@@ -103,8 +103,9 @@ std::vector<ReportCheck> JudgeMosaic(const ReportData& data);
 // Stands in the page where a program that knows them puts the job's times: artefacts hold none, so that they stay the same.
 inline constexpr const char* kReportTimesMark = "<!-- times -->";
 
-// A self-contained page: no scripts, no references to other files; pictures inline. Valid HTML 5, UTF-8. Same data, same bytes.
-Result<std::string> RenderReport(const ReportData& data);
+// A self-contained page: no scripts, no references to other files; pictures inline. Valid HTML 5, UTF-8. Same data, same bytes, whatever
+// the number of threads, on which its charts are drawn.
+Result<std::string> RenderReport(const ReportData& data, int threads = 1);
 
 // The start of such a page up to and with <body>, with the styles that the reports share.
 std::string HtmlPageStart(const std::string& title);

@@ -80,11 +80,17 @@ class Exporter {
   Status WriteMosaic(const std::filesystem::path& path);
   Status WriteQuality(const std::filesystem::path& path);
   Status WriteSource(const std::filesystem::path& path);
-  Status WritePreview();
+  // The pictures, and beside them what the report compares.
+  Status WritePictures();
   Status WriteReport();
   Status WriteStacItem();
-  // The report's crops, and mosaic_baseline.tif when it is asked for.
-  Status AddCrops();
+  // What the report compares with, and mosaic_baseline.tif when it is asked for. Fills nothing but its own.
+  struct Comparison {
+    std::vector<ReportCrop> crops;
+    std::string left_out;            // Why there are no crops.
+    std::filesystem::path baseline;  // Empty: not asked for, or left out.
+  };
+  Result<Comparison> Compare() const;
   Result<Image<float>> ReadMosaic(const Roi& roi) const;
   Status PutFile(const std::string& name, const std::filesystem::path& temporary);
   void AddNote(const std::string& code, const std::string& message, bool hole);
@@ -302,7 +308,7 @@ double MiddleValue(const Image<float>& picture) {
   return std::numeric_limits<double>::quiet_NaN();
 }
 
-Status Exporter::WritePreview() {
+Status Exporter::WritePictures() {
   const Image<float> preview = pictures_->preview.Picture();
   const ValueRange stretch = QuantileRange(preview, 0.005, 0.995);
   const Image<float> count = pictures_->count.Picture(), nmad = pictures_->nmad.Picture(), sigma = pictures_->sigma.Picture();
@@ -315,14 +321,16 @@ Status Exporter::WritePreview() {
   report_.nmad.range = {0.0, QuantileRange(nmad, 0.0, 0.98).high};
   report_.sigma.range = QuantileRange(sigma, 0.0, 0.98);
   report_.grey_range = stretch.high - stretch.low;
+  Result<Comparison> comparison = Failed("");
   std::array<Result<std::string>, 5> pngs = {Failed(""), Failed(""), Failed(""), Failed(""), Failed("")};
-  ForEachIndex(context_.threads, static_cast<int>(pngs.size()), [&](int index, int) {
-    Result<std::string>& png = pngs[static_cast<std::size_t>(index)];
-    if (index == 0) png = GreyPng(preview, stretch);
-    if (index == 1) png = GreyPng(pictures_->report_preview.Picture(), stretch);
-    if (index == 2) png = ColourPng(count, report_.count.range);
-    if (index == 3) png = ColourPng(nmad, report_.nmad.range);
-    if (index == 4) png = ColourPng(sigma, report_.sigma.range);
+  // The longest first.
+  ForEachIndex(context_.threads, static_cast<int>(pngs.size()) + 1, [&](int index, int) {
+    if (index == 0) comparison = Compare();
+    if (index == 1) pngs[0] = GreyPng(preview, stretch);
+    if (index == 2) pngs[1] = GreyPng(pictures_->report_preview.Picture(), stretch);
+    if (index == 3) pngs[2] = ColourPng(count, report_.count.range);
+    if (index == 4) pngs[3] = ColourPng(nmad, report_.nmad.range);
+    if (index == 5) pngs[4] = ColourPng(sigma, report_.sigma.range);
   });
   for (const Result<std::string>& png : pngs) TREM_RETURN_IF_ERROR(png.status());
   TREM_RETURN_IF_ERROR(PutBytes("mosaic_preview.png", *pngs[0]));
@@ -330,7 +338,14 @@ Status Exporter::WritePreview() {
   report_.count.png = std::move(*pngs[2]);
   report_.nmad.png = std::move(*pngs[3]);
   report_.sigma.png = std::move(*pngs[4]);
-  return {};
+  if (pictures_->covered == 0) {
+    AddNote("mosaic_empty", "no scene covers any pixel of the mosaic; see mosaic.gsd, mosaic.bounds and mosaic.cutline_path", true);
+  }
+  TREM_RETURN_IF_ERROR(comparison.status());
+  if (!comparison->left_out.empty()) AddNote("comparison_left_out", "the report compares nothing: " + comparison->left_out, false);
+  report_.crops = std::move(comparison->crops);
+  report_.baseline_written = !comparison->baseline.empty();
+  return report_.baseline_written ? PutFile("mosaic_baseline.tif", comparison->baseline) : Status();
 }
 
 Result<Image<float>> Exporter::ReadMosaic(const Roi& roi) const {
@@ -347,11 +362,12 @@ Result<Image<float>> Exporter::ReadMosaic(const Roi& roi) const {
   return pixels;
 }
 
-Status Exporter::AddCrops() {
+Result<Exporter::Comparison> Exporter::Compare() const {
+  Comparison comparison;
   const MosaicGrid sensor_grid = SensorGrid(grid_, ratio());
   const std::vector<Roi> places = pictures_->detail.Best(kCropsMax);
   const bool whole = spec_.sortie().mosaic().baseline();
-  if (places.empty() && !whole) return {};
+  if (places.empty() && !whole) return comparison;
   TREM_ASSIGN_OR_RETURN(const std::vector<FramePlacement> chain, ChainPlacements(manifest_, alignment_));
   FrameMosaic baseline(manifest_, store_, ThinnedOut(chain, manifest_));
   std::vector<Roi> wanted;
@@ -366,11 +382,11 @@ Status Exporter::AddCrops() {
                                                     : Result<std::vector<ReportCrop>>(read);
   if (!crops.ok()) {
     if (crops.status().code() == StatusCode::kCancelled) return crops.status();
-    AddNote("comparison_left_out", "the report compares nothing: " + crops.status().message(), false);
-    return {};
+    comparison.left_out = crops.status().message();
+    return comparison;
   }
-  report_.crops = std::move(*crops);
-  if (!whole) return {};
+  comparison.crops = std::move(*crops);
+  if (!whole) return comparison;
   CogSpec cog = Spec();
   cog.grid = sensor_grid;
   cog.bands = {"median of frames placed by image motion [grey levels of the source]"};
@@ -380,10 +396,9 @@ Status Exporter::AddCrops() {
     planes.push_back(std::move(tile.median));
     return planes;
   };
-  const std::filesystem::path path = store_.NewTemporaryPath(".tif");
-  TREM_RETURN_IF_ERROR(WriteCog(path, cog, reader, Step(0.85, 0.95)));
-  report_.baseline_written = true;
-  return PutFile("mosaic_baseline.tif", path);
+  comparison.baseline = store_.NewTemporaryPath(".tif");
+  TREM_RETURN_IF_ERROR(WriteCog(comparison.baseline, cog, reader, Step(0.85, 0.95)));
+  return comparison;
 }
 
 void Exporter::AddNote(const std::string& code, const std::string& message, bool hole) {
@@ -404,7 +419,7 @@ Status Exporter::WriteReport() {
     }
   }
   report_.hole_count += static_cast<std::uint32_t>(spec_.export_params().holes_size());
-  TREM_ASSIGN_OR_RETURN(const std::string html, RenderReport(report_));
+  TREM_ASSIGN_OR_RETURN(const std::string html, RenderReport(report_, context_.threads));
   return PutBytes("mosaic_report.html", html);
 }
 
@@ -433,11 +448,7 @@ Result<v1::TaskResult> Exporter::Run() {
   pictures_.emplace(grid_, kCropSidePx * ratio());
   TREM_RETURN_IF_ERROR(WriteFrames());
   TREM_RETURN_IF_ERROR(WriteRasters());
-  TREM_RETURN_IF_ERROR(WritePreview());
-  if (pictures_->covered == 0) {
-    AddNote("mosaic_empty", "no scene covers any pixel of the mosaic; see mosaic.gsd, mosaic.bounds and mosaic.cutline_path", true);
-  }
-  TREM_RETURN_IF_ERROR(AddCrops());
+  TREM_RETURN_IF_ERROR(WritePictures());
   TREM_RETURN_IF_ERROR(WriteReport());
   TREM_RETURN_IF_ERROR(WriteStacItem());
   if (!context_.progress(1.0)) return Cancelled("the export was stopped");
