@@ -11,7 +11,6 @@
 namespace trem {
 namespace {
 
-constexpr double kOverlapMin = 0.25;
 constexpr double kUsablePartMin = 0.05;
 constexpr double kCorrelationMin = 0.6;
 // Residuals this many times the noise are explained by noise and a little model error.
@@ -62,9 +61,9 @@ std::string Doubt(const Registration& registration, const Observation& observati
   if (Singular(registration.view.scene_from_sensor, observation.roi, reference.ratio)) {
     return "ended in a singular view: its ROI would collapse or blow up more than 16 times in the scene";
   }
-  if (registration.overlap < kOverlapMin) {
+  if (registration.overlap < kRegistrationOverlapMin) {
     std::snprintf(text, sizeof text, "overlaps the scene by %.0f %% only; at least %.0f %% needed", 100.0 * registration.overlap,
-                  100.0 * kOverlapMin);
+                  100.0 * kRegistrationOverlapMin);
     return text;
   }
   if (registration.correlation < kCorrelationMin && registration.residual_rms > kNoiseExplains * observation.noise_sigma) {

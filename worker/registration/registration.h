@@ -8,6 +8,9 @@
 
 namespace trem {
 
+// Part of a ROI that has to lie over seen scene for a registration to be believed.
+inline constexpr double kRegistrationOverlapMin = 0.25;
+
 enum class RegistrationMethod {
   kAuto,                  // Gauss-Newton; pyramids, then HINTS as capture, when the result fails validation.
   kGaussNewton,           // Gauss-Newton with pyramids only.

@@ -117,8 +117,10 @@ class MappingRun {
       StartSegment(k);
       return k + 1;
     }
+    // A camera that hops on by most of its ROI a frame, as one that takes photographs does, begins a scene with each.
+    if (segment_->HasMovedOff(frame_, Segment::Expected::kAtWorst)) return BeginNext(k);
     const JudgedRegistration judged = segment_->RegisterFrame(frame_, noise_sigma_);
-    if (!judged.doubt.empty()) return Lose(k, judged.doubt);
+    if (!judged.doubt.empty()) return segment_->HasMovedOff(frame_, Segment::Expected::kAsMeasured) ? BeginNext(k) : Lose(k, judged.doubt);
     const double residual = judged.registration.residual_rms;
     if (segment_->frame_count() > kResidualFrames && IsUnlike(judged.registration)) {
       return Lose(k,
@@ -192,14 +194,19 @@ class MappingRun {
     if (result_.frames[k].outcome != FrameReport::Outcome::kRegistered) Report(k, FrameReport::Outcome::kStartedScene, {});
   }
 
+  // Ends the segment before frame k, prepared in frame_, and begins the next one with it.
+  Result<std::size_t> BeginNext(std::size_t k) {
+    TREM_RETURN_IF_ERROR(EndSegment());
+    StartSegment(k);
+    return k + 1;
+  }
+
   Result<std::size_t> Lose(std::size_t k, const std::string& reason) {
     segment_->SkipFrame(frame_);
     if (IsCut(k)) {
-      TREM_RETURN_IF_ERROR(EndSegment());
       result_.notes.push_back(
           {"cut", frame_.frame_index, "another scene begins: the frame and the next fit each other and not what was before"});
-      StartSegment(k);
-      return k + 1;
+      return BeginNext(k);
     }
     if (++lost_ <= kLostFramesMax) {
       Report(k, FrameReport::Outcome::kLost, reason);

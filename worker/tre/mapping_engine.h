@@ -21,14 +21,14 @@ struct ChainEntry {
 
 // A snapshot of the scene, to be composited.
 struct SceneSnapshot {
-  int scene_id = 0;             // Within the window.
-  Roi extent;                   // Cells of the segment's scene plane.
-  Image<float> intensity;       // InEmittedBand of the scene; internal grey levels; 0 where never seen.
-  Image<float> information;     // About how many frames have seen each cell; 0: never.
+  int scene_id = 0;          // Within the window.
+  Roi extent;                // Cells of the segment's scene plane.
+  Image<float> intensity;    // InEmittedBand of the scene; internal grey levels; 0 where never seen.
+  Image<float> information;  // About how many frames have seen each cell; 0: never.
   // With EngineOptions::uncertainty, else empty; internal grey levels, 0 where never seen.
-  Image<float> sigma;           // Standard deviation of the intensity's error, see SceneSigma.
-  Image<float> residual;        // Robust rms of the frames' residuals.
-  int frame_begin = 0;          // Manifest frames that were added since the snapshot before: [frame_begin, frame_end).
+  Image<float> sigma;     // Standard deviation of the intensity's error, see SceneSigma.
+  Image<float> residual;  // Robust rms of the frames' residuals.
+  int frame_begin = 0;    // Manifest frames that were added since the snapshot before: [frame_begin, frame_end).
   int frame_end = 0;
 };
 
@@ -52,11 +52,11 @@ struct EngineNote {
 
 struct EngineResult {
   std::vector<SegmentResult> segments;
-  std::vector<FrameReport> frames;   // One per input frame, in order.
-  std::vector<EngineNote> notes;     // In the order of the frames.
-  double noise_sigma = 0.0;          // Internal grey levels.
-  std::vector<int> bad_pixels;       // Found by the engine: indices in the ROI, y * width + x.
-  long long masked_pixels = 0;       // Masked as moving, of used_pixels.
+  std::vector<FrameReport> frames;  // One per input frame, in order.
+  std::vector<EngineNote> notes;    // In the order of the frames.
+  double noise_sigma = 0.0;         // Internal grey levels.
+  std::vector<int> bad_pixels;      // Found by the engine: indices in the ROI, y * width + x.
+  long long masked_pixels = 0;      // Masked as moving, of used_pixels.
   long long used_pixels = 0;
 };
 
@@ -69,8 +69,9 @@ Status CheckEngine(const Roi& roi, const EngineOptions& options);
 // Mapping mode: a ROI fixed in the sensor; the scene moves under it by whole cells. For each frame: register to the scene's
 // prediction, splat, improve the scene. A segment is a run of frames on one scene plane; it ends, and the next begins a few frames
 // earlier, when the view has turned or stretched too far from the first frame's, and it ends without overlap when lock is lost for
-// good or when the frames that follow show something else (a cut). Memory is bounded by about 1.5 times the ROI's side: when the ROI moves on, a snapshot is emitted and what lies behind is
-// dropped. `progress` (may be empty) is called per frame with the fraction done; false cancels.
+// good, when the frames that follow show something else (a cut), or when a frame's motion has left less of the ROI over the scene than
+// registering needs. Memory is bounded by about 1.5 times the ROI's side: when the ROI moves on, a snapshot is emitted and what lies behind
+// is dropped. `progress` (may be empty) is called per frame with the fraction done; false cancels.
 Result<EngineResult> RunMapping(const Roi& roi_in_sensor, std::span<const FrameInput> frames, const EngineOptions& options,
                                 const SnapshotSink& sink, const std::function<bool(double)>& progress);
 

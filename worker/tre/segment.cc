@@ -29,9 +29,6 @@ constexpr float kSettledFrames = 2.5F;
 constexpr float kSettledFramesMax = 4.0F;
 // Further iterations on ground that came into view with this frame.
 constexpr int kNewGroundIterations = 10;
-// Standard deviation of whole-image motion at a ROI's corner [px]: reduced images, and ground that is not quite a plane.
-constexpr double kMotionSigmaPx = 0.7;
-constexpr double kVelocitySigmaPx = 3.0;
 // Part of a gain's and offset's deviation from 1 and 0 that is expected to be there still in the next frame.
 constexpr double kPhotometryMemory = 0.98;
 
@@ -339,39 +336,6 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   return registration;
 }
 
-// Constant velocity: p(A_t | A_t-1) of tre.dynamics_sigma_px.
-ViewPrior Segment::PredictByDynamics() const {
-  ViewPrior prior;
-  prior.mean = view_;
-  const double frames = 1.0 + skipped_;
-  double jerks = 0.0;  // A change of velocity j frames before the end has moved the corner j times.
-  for (int j = 1; j <= 1 + skipped_; ++j) {
-    prior.mean.scene_from_sensor = prior.mean.scene_from_sensor * previous_from_current_;
-    jerks += static_cast<double>(j) * j;
-  }
-  // Before two frames are known nothing is known of the velocity.
-  const double sigma = options_.dynamics_sigma_px;
-  const double start = frame_count_ < 2 ? std::pow(std::max(kVelocitySigmaPx, sigma), 2) : 0.0;
-  const Eigen::Index n = covariance_.rows();
-  const CornerMatrix covariance = covariance_ + frames * frames * velocity_covariance_ +
-                                  (jerks * sigma * sigma + frames * frames * start) * CornerMatrix::Identity(n, n);
-  prior.information = covariance.inverse();
-  return prior;
-}
-
-ViewPrior Segment::Predict(const FrameInput& frame) const {
-  ViewPrior prior;
-  prior.mean = view_;
-  const bool measured = frame.previous_from_current.has_value();
-  const PlanarMap motion = measured ? PlanarMap(*frame.previous_from_current) : previous_from_current_;
-  prior.mean.scene_from_sensor = view_.scene_from_sensor * lost_from_current_ * motion;
-  const double sigma = (measured ? kMotionSigmaPx : kVelocitySigmaPx) * std::sqrt(1.0 + skipped_);
-  // The last view's own uncertainty is part of the prediction's: a ROI without texture must not gain confidence by being predicted.
-  const CornerMatrix covariance = covariance_ + CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) * sigma * sigma;
-  prior.information = covariance.inverse();
-  return prior;
-}
-
 JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) const {
   Expectation expectation;
   const bool dynamics = options_.dynamics_sigma_px > 0.0;
@@ -382,9 +346,7 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   expectation.prior.gain_sigma = 0.1;
   expectation.prior.offset_sigma = 15.0;
   const bool measured = frame.previous_from_current.has_value();
-  // Whole-image motion is an affine map from reduced images: the longer the hop, the more a ROI may differ from it.
-  const double hop_px = LargestCornerMotion(view_.scene_from_sensor, expectation.prior.mean.scene_from_sensor, roi_);
-  expectation.motion_px_max = measured ? 6.0 + 2.0 * skipped_ + 0.1 * hop_px : 0.35 * std::min(roi_.width(), roi_.height());
+  expectation.motion_px_max = MotionTolerancePx(frame, expectation.prior.mean.scene_from_sensor);
   if (dynamics && frame_count_ > 1) {
     expectation.motion_px_max = 3.0 + 5.0 * std::sqrt(expectation.prior.information.inverse().diagonal().maxCoeff());
   }
@@ -477,6 +439,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   const Eigen::Vector2d centre(0.5 * (roi_.x0 + roi_.x1), 0.5 * (roi_.y0 + roi_.y1));
   progress_px_ += kProgressRate * (previous_from_current_ * centre - centre - progress_px_);
   lost_from_current_ = PlanarMap{};
+  lost_motion_known_ = true;
   skipped_ = 0;
   view_ = registration.view;
   covariance_ = own;
@@ -487,12 +450,6 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   place_.Add(before, place_.Measure(whole, ReferenceNow(SeenMin()), view_), whole, view_, Forgetting());
   KeepForRevisit(frame, weights, registration, noise_sigma);
   return {};
-}
-
-void Segment::SkipFrame(const FrameInput& frame) {
-  lost_from_current_ =
-      lost_from_current_ * (frame.previous_from_current ? PlanarMap(*frame.previous_from_current) : previous_from_current_);
-  ++skipped_;
 }
 
 }  // namespace trem

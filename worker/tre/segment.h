@@ -60,6 +60,10 @@ class Segment {
   Status AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit);
   // A frame that was not registered: its motion still counts for where the next one is expected.
   void SkipFrame(const FrameInput& frame);
+  // Whether the frame shows other ground than the scene does, as its measured motion has it: less of its ROI than registering needs lies
+  // over the scene, or, at worst, would lie there if the motion were off by as much as is tolerated. False where the motion is not known.
+  enum class Expected { kAsMeasured, kAtWorst };
+  bool HasMovedOff(const FrameInput& frame, Expected expected) const;
   // Emits the last snapshot.
   Status End(double noise_sigma, const Emit& emit);
 
@@ -88,6 +92,8 @@ class Segment {
   ViewPrior Predict(const FrameInput& frame) const;
   // Constant velocity: p(A_t | A_t-1) of tre.dynamics_sigma_px.
   ViewPrior PredictByDynamics() const;
+  // How far a corner may end from where it was expected [sensor px].
+  double MotionTolerancePx(const FrameInput& frame, const PlanarMap& expected) const;
   Reference ReferenceNow(float seen_min) const;
   // What the scene's own error adds to the covariance of a view registered to it.
   CornerMatrix SceneCovariance(const FrameInput& frame, const Registration& registration, double noise_sigma) const;
@@ -139,6 +145,7 @@ class Segment {
   View view_;                                               // Of the last registered frame.
   PlanarMap previous_from_current_;                         // Last measured motion, in sensor pixels.
   PlanarMap lost_from_current_;                             // Motion of frames skipped since then.
+  bool lost_motion_known_ = true;                           // Whether all of that was measured.
   CornerMatrix covariance_;                                 // Of view_, without the scene's, 6 x 6 or 8 x 8.
   PlaceField place_;                                        // Of the scene's place on its plane: S above.
   CornerMatrix velocity_covariance_;                        // Of previous_from_current_, as a corner displacement a frame.

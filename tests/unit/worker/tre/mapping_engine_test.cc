@@ -154,6 +154,27 @@ TEST(MappingEngine, ACutStartsANewSegmentAndLosesNoFrame) {
   EXPECT_EQ(Count(made.result, Outcome::kLost), 0);
 }
 
+// A survey of photographs: what a frame's ROI shows, the next one's does not. None may wait for the scene to come back, and none be lost.
+TEST(MappingEngine, ACameraThatHopsOnByMostOfItsRoiBeginsASceneWithEachFrame) {
+  SequenceOptions options;
+  options.frame_count = 6;
+  options.speed_px = 55.0;
+  RenderedSequence sequence = testing::RenderSequence(options);
+  const Made hopping = Map(sequence);
+  EXPECT_EQ(hopping.result.segments.size(), 6U);
+  EXPECT_EQ(Count(hopping.result, Outcome::kStartedScene), 6);
+  EXPECT_EQ(hopping.snapshots.size(), 6U);
+
+  // Where nothing measured how far it went, four frames wait for the scene to come back before a new one begins.
+  for (FrameInput& frame : sequence.frames) frame.previous_from_current.reset();
+  EXPECT_EQ(Count(Map(sequence).result, Outcome::kLost), 4);
+
+  options.speed_px = 8.0;
+  const Made overlapping = Map(testing::RenderSequence(options));
+  EXPECT_EQ(overlapping.result.segments.size(), 1U) << "six sevenths of a ROI overlap the one before it";
+  EXPECT_EQ(Count(overlapping.result, Outcome::kRegistered), 5);
+}
+
 TEST(MappingEngine, TurningByFortyFiveDegreesMakesSegmentsThatShareFrames) {
   SequenceOptions options;
   options.turn_rad = 0.785 / options.frame_count;
