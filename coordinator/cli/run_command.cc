@@ -29,7 +29,9 @@ using Clock = std::chrono::steady_clock;
 
 // A busy machine may keep a coordinator that replays its log from answering for a while; one that died is noticed at once.
 constexpr std::chrono::seconds kCoordinatorPatience{60};
-constexpr std::chrono::milliseconds kPollInterval{250};
+// How often the job is asked after: a hundredth of the time it has taken so far, within these bounds.
+constexpr std::chrono::milliseconds kPollIntervalMin{20};
+constexpr std::chrono::milliseconds kPollIntervalMax{250};
 constexpr std::size_t kWarningLinesMax = 10;
 
 // What is known of a run so far; the report is made of it, whatever happens.
@@ -78,13 +80,15 @@ Status JobFailure(const v1::JobStatus& job) {
 
 Status RunJob(const RunOptions& options, const v1::Sortie& sortie, const std::string& job_id, Client* client, RunState* state) {
   ProgressDisplay display(ProgressDisplay::ModeFor(options.quiet));
+  const auto start = Clock::now();
   // A job of this id that was interrupted or failed is taken up again; tasks that it finished are not repeated.
   TREM_ASSIGN_OR_RETURN(state->job, client->Submit(job_id, sortie));
   for (;;) {
     display.Show(state->job);
     if (state->job.state() == v1::JOB_DONE || state->job.state() == v1::JOB_DONE_IN_PART) return {};
     if (state->job.state() == v1::JOB_FAILED || state->job.state() == v1::JOB_CANCELLED) return JobFailure(state->job);
-    TREM_RETURN_IF_ERROR(client->Pause(kPollInterval));
+    const auto elapsed = std::chrono::duration_cast<std::chrono::milliseconds>(Clock::now() - start);
+    TREM_RETURN_IF_ERROR(client->Pause(std::clamp(elapsed / 100, kPollIntervalMin, kPollIntervalMax)));
     TREM_ASSIGN_OR_RETURN(state->job, client->GetJob(state->job.job_id()));
   }
 }

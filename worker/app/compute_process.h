@@ -30,8 +30,8 @@ struct ComputeProcessOptions {
 };
 
 // Computes in a child process, so that what a crash, an out-of-memory kill or a hang in native code ends is the task, not the worker. The
-// child is started with the first task and again after it has died; between tasks it sleeps. Calls belong to one thread at a time, where
-// nothing else is said.
+// child is started with the first task, or before by Start, and again after it has died; between tasks it sleeps. Calls belong to one
+// thread at a time, where nothing else is said.
 class ComputeProcess {
  public:
   explicit ComputeProcess(ComputeProcessOptions options) : options_(std::move(options)) {}
@@ -39,6 +39,9 @@ class ComputeProcess {
   ~ComputeProcess();
   ComputeProcess(const ComputeProcess&) = delete;
   ComputeProcess& operator=(const ComputeProcess&) = delete;
+
+  // Starts the child, so that the first task need not wait until a few hundred libraries are loaded. Where that fails, Run says so.
+  void Start() { (void)EnsureStarted(); }
 
   // How many processors the task may use from now on, until another one begins with one. From any thread.
   void SetProcessors(int processors);

@@ -134,14 +134,15 @@ Status Serve(ServeOptions serve) {
   options.give_up = std::chrono::seconds(serve.give_up_s);
   options.drain_grace = std::chrono::seconds(serve.drain_s);
   TREM_ASSIGN_OR_RETURN(const ChannelOptions channel_options, ChannelOptionsOf(serve.key_path, serve.coordinator_key_path));
-  TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
-  signalled_channel = channel.get();
   TREM_ASSIGN_OR_RETURN(const SourceGuard guard, SourceGuard::Make(serve.source_roots, /*closed=*/!serve.key_path.empty()));
   AttemptLog log;
   options.log = &log;
   ComputeProcessOptions compute_options = ComputeOptionsOf(serve, scratch.path());
   compute_options.on_stderr = [&log](std::string_view bytes) { log.Add(bytes); };
   ComputeProcess compute(std::move(compute_options));
+  compute.Start();
+  TREM_ASSIGN_OR_RETURN(const auto channel, DealerChannel::Connect(serve.coordinator, channel_options));
+  signalled_channel = channel.get();
   options.on_share = [&](int processors) {
     compute.SetProcessors(serve.processors_max > 0 ? std::min(processors, static_cast<int>(serve.processors_max)) : processors);
   };

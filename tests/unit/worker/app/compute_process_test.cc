@@ -59,6 +59,18 @@ TEST_F(ComputeProcessTest, ComputesTaskAfterTaskAndReportsProgress) {
   ExpectWorks();
 }
 
+TEST_F(ComputeProcessTest, StartsBeforeTheFirstTaskAndFailsWithIt) {
+  process_->Start();
+  ExpectWorks();
+  process_->Start();  // It is there.
+  ExpectWorks();
+  ComputeProcessOptions options = Options();
+  options.argv = {"/nowhere/trem-worker"};
+  process_ = std::make_unique<ComputeProcess>(options);
+  process_->Start();
+  EXPECT_THAT(Run("work").result.status().message(), HasSubstr("cannot start /nowhere/trem-worker"));
+}
+
 TEST_F(ComputeProcessTest, TellsARunningTaskHowManyProcessorsItMayUseAndTheNextOneBeginsWithOne) {
   process_->SetProcessors(2);
   const TaskOutcome two = Run("two");
