@@ -227,6 +227,20 @@ TEST(Ingest, GivesTheSameBytesForAnyNumberOfThreads) {
   }
 }
 
+TEST(Ingest, GivesTheSameBytesOfAVideoForAnyNumberOfThreads) {
+  // Frames wait, decoded, until a thread takes them; the decoder goes on meanwhile.
+  const testing::TempDir folder;
+  std::vector<Image<float>> frames;
+  for (int i = 0; i < 45; ++i) frames.push_back(TexturedFrame(kWidth, kHeight, 3.0 * i, 2.0 * i, 1));
+  testing::WriteVideo(folder / "v.ts", frames, {.encoder = "mpeg2video", .pixel_format = "yuv420p", .frame_rate_hz = 25});
+  const auto one = IngestSortie(SortieAt(folder / "v.ts"), {}, 1);
+  const auto three = IngestSortie(SortieAt(folder / "v.ts"), {}, 3);
+  ASSERT_TRUE(one.ok() && three.ok());
+  EXPECT_EQ(one->frames_size(), 45);
+  EXPECT_EQ(one->spans_size(), 1);
+  EXPECT_EQ(SerializeDeterministic(*one), SerializeDeterministic(*three));
+}
+
 TEST(Ingest, SaysWhyASourceIsOfNoUse) {
   const testing::TempDir folder;
   EXPECT_EQ(IngestSortie(SortieAt(folder / "none"), {}).status().code(), StatusCode::kNotFound);
