@@ -142,8 +142,8 @@ TaskOutcome ComputeProcess::Await(const v1::TaskSpec& spec, const std::function<
     // A negative one is left out.
     std::array<pollfd, 3> items{pollfd{fd_, POLLIN, 0}, pollfd{stderr_fd_, POLLIN, 0}, pollfd{wake_.fd(), POLLIN, 0}};
     (void)::poll(items.data(), items.size(), static_cast<int>(kPoll.count()));
-    wake_.Clear();
-    RelayStderr();
+    if (items[1].revents != 0) RelayStderr();
+    if (items[2].revents != 0) wake_.Clear();
     const bool is_there = reader_.ReadAvailable(fd_);
     const Clock::time_point now = Clock::now();
     bool goes_on = progress(-1.0);
@@ -157,6 +157,7 @@ TaskOutcome ComputeProcess::Await(const v1::TaskSpec& spec, const std::function<
       last_news = now;
       if ((*frame)->kind == ComputeFrameKind::kProgress) goes_on &= progress(std::strtod((*frame)->body.c_str(), nullptr));
       if ((*frame)->kind != ComputeFrameKind::kDone) continue;
+      RelayStderr();  // What it said before it was done.
       v1::Done done;
       if (done.ParseFromString((*frame)->body)) return OutcomeOf(done);
       Reap(true);

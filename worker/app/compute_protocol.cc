@@ -106,6 +106,7 @@ bool ComputeFrameReader::ReadAvailable(int fd) {
     if (count > 0) {
       bytes_.append(buffer.data(), static_cast<std::size_t>(count));
       if (bytes_.size() > kHeadBytes + kBodyBytesMax) return true;
+      if (static_cast<std::size_t>(count) < buffer.size()) return true;  // That was all; the end of the stream is seen by the next poll.
       continue;
     }
     if (count < 0 && errno == EINTR) continue;

@@ -2,8 +2,10 @@
 
 #include <atomic>
 #include <chrono>
+#include <condition_variable>
 #include <cstdint>
 #include <functional>
+#include <mutex>
 #include <optional>
 #include <thread>
 
@@ -44,7 +46,14 @@ class ComputeThread {
 
   Task task_;
   std::function<void()> on_finished_;
-  std::thread thread_;
+  void Serve();
+
+  std::thread thread_;  // Started with the first task; sleeps between tasks.
+  std::mutex mutex_;
+  std::condition_variable has_news_;
+  bool has_task_ = false;  // Guarded by mutex_, as is the next: for the thread.
+  bool is_leaving_ = false;
+  bool is_running_ = false;  // The owner's: from Start until the result was taken.
   v1::TaskSpec spec_;
   std::optional<Finished> finished_;  // Written by the compute thread before has_ended_ is set, read after.
   std::atomic<bool> has_ended_{false};
