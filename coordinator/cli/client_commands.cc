@@ -121,7 +121,7 @@ class WorkerBacking final : public ArtefactBacking {
  public:
   WorkerBacking(std::string store, fs::path log) : store_(std::move(store)), log_(std::move(log)) {}
 
-  Status Fetch(const ArtefactRef& ref, const fs::path& path) override {
+  Result<std::string> Fetch(const ArtefactRef& ref, const fs::path& path) override {
     TREM_ASSIGN_OR_RETURN(const fs::path folder, ProgramFolder());
     TREM_ASSIGN_OR_RETURN(const pid_t pid, StartChild({(folder / "trem-worker").string(), "get-artefact", "--store", store_, "--sha256",
                                                        ref.sha256, "--output", path.string()},
@@ -131,7 +131,7 @@ class WorkerBacking final : public ArtefactBacking {
       if (InterruptSignal() != 0) return Cancelled("interrupted");  // The child ends with this process.
       std::this_thread::sleep_for(std::chrono::milliseconds(10));
     }
-    if (*ended == 0) return {};
+    if (*ended == 0) return std::string();
     return Failed("result " + ref.name + ": " + LastLines(log_, 1));
   }
   Status Deliver(const ArtefactRef&, const fs::path&) override { return Failed("results are only read"); }

@@ -41,7 +41,8 @@ Finding CheckDataLane(const std::string& endpoint, const std::string& coordinato
                                                     : "the port of --data-bind has to be reachable from here too (by default it is any "
                                                       "free one: name one and let the firewall pass it)"};
   }
-  status = lane.Fetch(ref, folder / "back");
+  const Result<std::string> back = lane.Fetch(ref, folder / "back");
+  status = back.ok() && *back != ref.sha256 ? Corrupt("other bytes came back than went there") : back.status();
   if (!status.ok()) return {subject, false, "a download from " + endpoint + " fails: " + status.message(), "look at the coordinator's log"};
   return {subject, true, endpoint + ", a file went there and back", ""};
 }

@@ -2,15 +2,15 @@
 
 #include <fcntl.h>
 #include <spdlog/spdlog.h>
-#include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <chrono>
 #include <filesystem>
 #include <system_error>
 
 #include "mosaic/base/file.h"
+#include "mosaic/base/open_file.h"
+#include "proto/channel/artefact_channel.h"
 
 namespace trem {
 namespace fs = std::filesystem;
@@ -37,23 +37,6 @@ std::uint64_t BytesOfObjects(const fs::path& root) {
   return total;
 }
 
-// Reads or writes all of [offset, offset + size) of a file.
-template <typename Transfer>
-Status TransferAll(const fs::path& path, int flags, std::size_t size, Transfer transfer) {
-  const int fd = ::open(path.c_str(), flags | O_CLOEXEC | O_NOFOLLOW, 0644);
-  if (fd < 0) return FromErrno("cannot open " + path.string(), errno);
-  Status status;
-  for (std::size_t done = 0; status.ok() && done < size;) {
-    const ssize_t count = transfer(fd, done);
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) status = FromErrno("cannot use " + path.string(), errno);
-    if (count == 0) status = Corrupt(path.string() + " is shorter than it should be");
-    done += static_cast<std::size_t>(std::max<ssize_t>(count, 0));
-  }
-  ::close(fd);
-  return status;
-}
-
 }  // namespace
 
 ArtefactServer::ArtefactServer(std::unique_ptr<RouterChannel> channel, ArtefactStore store, const ArtefactServerOptions& options)
@@ -63,6 +46,10 @@ Result<std::unique_ptr<ArtefactServer>> ArtefactServer::Start(const std::string&
                                                               ArtefactStore store, const ArtefactServerOptions& options) {
   ChannelOptions own = channel_options;
   own.limits.body_bytes_max = std::size_t{8} << 20;  // A chunk has at most half of that.
+  // Who asks for far more than his credit, or does not take what he asked for, fills no memory here. libzmq learns only now and then how
+  // much of a queue was taken: one of the credit's own size would lose answers.
+  own.messages_unread_max = own.messages_unsent_max = 4 * static_cast<int>(kCreditChunks);
+  KeepFreedChunks();
   TREM_ASSIGN_OR_RETURN(std::unique_ptr<RouterChannel> channel, RouterChannel::Bind(endpoint, own));
   std::unique_ptr<ArtefactServer> server(new ArtefactServer(std::move(channel), std::move(store), options));
   if (options.store_bytes_max > 0) server->store_bytes_ = BytesOfObjects(server->store_.root());
@@ -89,42 +76,42 @@ void ArtefactServer::Serve() {
       next_forget_ms = now_ms + kForgetIntervalMs;
     }
     if (!incoming) continue;
-    Result<v1::Envelope> answer = Answer(*incoming);
+    Payload payload;
+    Result<v1::Envelope> answer = Answer(*incoming, &payload);
     if (!answer.ok()) {
       v1::Envelope refusal;
       refusal.mutable_error()->set_status_code(static_cast<std::uint32_t>(answer.status().code()));
       refusal.mutable_error()->set_message(answer.status().message().substr(0, 4096));
       answer = std::move(refusal);
     }
-    channel_->Send(incoming->peer, *answer);  // What does not get through is asked for again.
+    channel_->Send(incoming->peer, *answer, std::move(payload));  // What does not get through is asked for again.
   }
 }
 
-Result<v1::Envelope> ArtefactServer::Answer(const RouterChannel::Incoming& incoming) {
+Result<v1::Envelope> ArtefactServer::Answer(const RouterChannel::Incoming& incoming, Payload* payload) {
   if (!incoming.envelope.ok()) return incoming.envelope.status();
-  if (incoming.envelope->has_get_chunk()) return OnGet(incoming.envelope->get_chunk());
-  if (incoming.envelope->has_put_chunk()) return OnPut(incoming.user, incoming.envelope->put_chunk());
+  if (incoming.envelope->has_get_chunk()) return OnGet(incoming.envelope->get_chunk(), payload);
+  if (incoming.envelope->has_put_chunk()) return OnPut(incoming.user, incoming.envelope->put_chunk(), incoming.payload.bytes());
   return InvalidInput("the data lane takes and gives chunks of artefacts; everything else goes to the control lane");
 }
 
-Result<v1::Envelope> ArtefactServer::OnGet(const v1::GetChunk& get) {
+Result<v1::Envelope> ArtefactServer::OnGet(const v1::GetChunk& get, Payload* payload) {
   ArtefactRef ref{"", get.sha256(), 0};
   TREM_ASSIGN_OR_RETURN(const fs::path object, store_.Find(get.sha256(), &ref.bytes));
   if (get.offset() > ref.bytes || (get.offset() == ref.bytes && ref.bytes > 0)) {
     return InvalidInput("artefact " + get.sha256() + " has " + std::to_string(ref.bytes) + " bytes; offset " +
                         std::to_string(get.offset()) + " was asked for");
   }
+  TREM_ASSIGN_OR_RETURN(const OpenFile file, OpenFile::Open(object, O_RDONLY | O_NOFOLLOW));
+  Payload data(std::min<std::uint64_t>(get.bytes_max(), ref.bytes - get.offset()));
+  TREM_RETURN_IF_ERROR(file.ReadAt(get.offset(), {data.data(), data.size()}));
+  bytes_sent_ += data.size();
   v1::Envelope answer;
   v1::Chunk* chunk = answer.mutable_chunk();
-  std::string data(static_cast<std::size_t>(std::min<std::uint64_t>(get.bytes_max(), ref.bytes - get.offset())), '\0');
-  TREM_RETURN_IF_ERROR(TransferAll(object, O_RDONLY, data.size(), [&](int fd, std::size_t done) {
-    return ::pread(fd, data.data() + done, data.size() - done, static_cast<off_t>(get.offset() + done));
-  }));
-  bytes_sent_ += data.size();
   chunk->set_sha256(get.sha256());
   chunk->set_offset(get.offset());
-  chunk->set_data_sha256(Sha256Hex(data));
-  chunk->set_data(std::move(data));
+  chunk->set_data_xxh3(Xxh3(data.bytes()));
+  *payload = std::move(data);
   return answer;
 }
 
@@ -157,7 +144,7 @@ Result<ArtefactServer::Upload*> ArtefactServer::UploadOf(const std::string& user
   return &upload;
 }
 
-Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::PutChunk& put) {
+Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::PutChunk& put, std::string_view data) {
   v1::Envelope answer;
   v1::PutReply* reply = answer.mutable_put_reply();
   reply->set_sha256(put.sha256());
@@ -169,7 +156,7 @@ Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::Pu
     return answer;
   }
   // Nothing is kept for a mere question.
-  const bool is_question = put.data().empty() && put.bytes() > 0;
+  const bool is_question = data.empty() && put.bytes() > 0;
   if (known == uploads_.end() && is_question) {
     TREM_RETURN_IF_ERROR(CheckRoom(put.bytes()));
     return answer;
@@ -180,7 +167,7 @@ Result<v1::Envelope> ArtefactServer::OnPut(const std::string& user, const v1::Pu
                         std::to_string(put.bytes()));
   }
   upload->used_at_ms = NowMs();
-  Status status = put.offset() == upload->next_offset ? Append(put, upload) : Status();
+  Status status = put.offset() == upload->next_offset ? Append(put, data, upload) : Status();
   reply->set_next_offset(upload->next_offset);
   const bool is_complete = upload->next_offset == upload->bytes;
   if (status.ok() && is_complete) {
@@ -206,15 +193,14 @@ Status ArtefactServer::Finish(const std::string& sha256, Upload* upload) {
   return {};
 }
 
-Status ArtefactServer::Append(const v1::PutChunk& put, Upload* upload) {
-  if (put.data().empty() && put.bytes() > 0) return {};       // A question.
-  if (Sha256Hex(put.data()) != put.data_sha256()) return {};  // Damaged on its way: the reply asks for it again.
-  TREM_RETURN_IF_ERROR(TransferAll(upload->path, O_WRONLY | O_CREAT, put.data().size(), [&](int fd, std::size_t done) {
-    return ::pwrite(fd, put.data().data() + done, put.data().size() - done, static_cast<off_t>(put.offset() + done));
-  }));
-  upload->digest->Update(put.data());
-  upload->next_offset += put.data().size();
-  bytes_received_ += put.data().size();
+Status ArtefactServer::Append(const v1::PutChunk& put, std::string_view data, Upload* upload) {
+  if (data.empty() && put.bytes() > 0) return {};  // A question.
+  if (Xxh3(data) != put.data_xxh3()) return {};    // Damaged on its way: the reply asks for it again.
+  TREM_ASSIGN_OR_RETURN(const OpenFile file, OpenFile::Open(upload->path, O_WRONLY | O_CREAT | O_NOFOLLOW));
+  TREM_RETURN_IF_ERROR(file.WriteAt(put.offset(), data));
+  upload->digest->Update(data);
+  upload->next_offset += data.size();
+  bytes_received_ += data.size();
   return {};
 }
 

@@ -5,6 +5,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -51,12 +52,12 @@ class ArtefactServer {
 
   ArtefactServer(std::unique_ptr<RouterChannel> channel, ArtefactStore store, const ArtefactServerOptions& options);
   void Serve();
-  Result<v1::Envelope> Answer(const RouterChannel::Incoming& incoming);
-  Result<v1::Envelope> OnGet(const v1::GetChunk& get);
-  Result<v1::Envelope> OnPut(const std::string& user, const v1::PutChunk& put);
+  Result<v1::Envelope> Answer(const RouterChannel::Incoming& incoming, Payload* payload);
+  Result<v1::Envelope> OnGet(const v1::GetChunk& get, Payload* payload);
+  Result<v1::Envelope> OnPut(const std::string& user, const v1::PutChunk& put, std::string_view data);
   bool IsStored(const v1::PutChunk& put) const;
   Result<Upload*> UploadOf(const std::string& user, const v1::PutChunk& put);
-  Status Append(const v1::PutChunk& put, Upload* upload);
+  Status Append(const v1::PutChunk& put, std::string_view data, Upload* upload);
   Status Finish(const std::string& sha256, Upload* upload);
   Status CheckRoom(std::uint64_t bytes) const;
   void ForgetOldUploads(std::int64_t now_ms);

@@ -62,8 +62,10 @@ Status ArtefactStore::FetchMissing(const ArtefactRef& ref) const {
   }
   for (;;) {
     const bool is_resumed = fs::file_size(partial, error) > 0 && !error;
-    TREM_RETURN_IF_ERROR(backing_->Fetch(ref, partial));
-    TREM_ASSIGN_OR_RETURN(const std::string found, Sha256HexOfFile(partial));
+    TREM_ASSIGN_OR_RETURN(std::string found, backing_->Fetch(ref, partial));
+    if (found.empty()) {
+      TREM_ASSIGN_OR_RETURN(found, Sha256HexOfFile(partial));
+    }
     if (found == ref.sha256) break;
     // Emptied, not removed: whoever waits for the lock holds this very file. What an earlier try left may have been the damaged part.
     fs::resize_file(partial, 0, error);

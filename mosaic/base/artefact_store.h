@@ -22,8 +22,9 @@ struct ArtefactRef {
 class ArtefactBacking {
  public:
   virtual ~ArtefactBacking() = default;
-  // Writes the object to `path`; what is there already is the beginning of it, from a try that broke off. The store verifies the digest.
-  virtual Status Fetch(const ArtefactRef& ref, const std::filesystem::path& path) = 0;
+  // Writes the object to `path`; what is there already is the beginning of it, from a try that broke off. Returns the SHA-256 of all that
+  // is there then, or nothing if it was not taken on the way: the store compares it, or reads the file.
+  virtual Result<std::string> Fetch(const ArtefactRef& ref, const std::filesystem::path& path) = 0;
   // Returns when the object, the file at `path`, is where others find it.
   virtual Status Deliver(const ArtefactRef& ref, const std::filesystem::path& path) = 0;
 };

@@ -1,12 +1,17 @@
 #include "mosaic/base/digest.h"
 
+#include <fcntl.h>
 #include <openssl/evp.h>
 
 #include <algorithm>
 #include <array>
-#include <cerrno>
-#include <fstream>
-#include <vector>
+#include <memory>
+
+#include "mosaic/base/open_file.h"
+
+// The library's header is its implementation too: nothing has to be installed where the programs run.
+#define XXH_INLINE_ALL
+#include <xxhash.h>
 
 namespace trem {
 
@@ -44,17 +49,21 @@ std::string Sha256Hex(std::string_view bytes) {
   return sha.FinishHex();
 }
 
+std::uint64_t Xxh3(std::string_view bytes) { return XXH3_64bits(bytes.data(), bytes.size()); }
+
 Result<std::string> Sha256HexOfFile(const std::filesystem::path& path) {
-  errno = 0;
-  std::ifstream in(path, std::ios::binary);
-  if (!in) return FromErrno("cannot read " + path.string(), errno != 0 ? errno : EIO);
+  // Stays in the second cache between being read and being digested.
+  constexpr std::uint64_t kBlockBytes = std::uint64_t{256} << 10;
+  TREM_ASSIGN_OR_RETURN(const OpenFile file, OpenFile::Open(path, O_RDONLY));
+  TREM_ASSIGN_OR_RETURN(const std::uint64_t bytes, file.Size());
+  const auto block = std::make_unique_for_overwrite<char[]>(std::min(bytes, kBlockBytes));
   Sha256 sha;
-  std::vector<char> block(1 << 20);
-  while (in) {
-    in.read(block.data(), static_cast<std::streamsize>(block.size()));
-    sha.Update(std::string_view(block.data(), static_cast<std::size_t>(in.gcount())));
+  for (std::uint64_t offset = 0; offset < bytes;) {
+    const std::span<char> piece(block.get(), std::min(bytes - offset, kBlockBytes));
+    TREM_RETURN_IF_ERROR(file.ReadAt(offset, piece));
+    sha.Update({piece.data(), piece.size()});
+    offset += piece.size();
   }
-  if (in.bad()) return Failed("read error in " + path.string());
   return sha.FinishHex();
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <span>
@@ -29,6 +30,8 @@ class Sha256 {
 };
 
 std::string Sha256Hex(std::string_view bytes);
+// XXH3, 64 bits: finds accidental damage at memory speed. Proves nothing against whoever wants to deceive.
+std::uint64_t Xxh3(std::string_view bytes);
 // Reads the file in blocks; errors name the path.
 Result<std::string> Sha256HexOfFile(const std::filesystem::path& path);
 // True for exactly 64 lower-case hexadecimal digits: the only strings that may become part of an artefact's path.

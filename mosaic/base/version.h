@@ -7,6 +7,6 @@ namespace trem {
 inline constexpr const char* kEngineRevision = "7";
 
 // Version of the messages between coordinator, workers and clients; peers of another version are refused.
-inline constexpr unsigned kProtocolVersion = 1;
+inline constexpr unsigned kProtocolVersion = 2;
 
 }  // namespace trem

@@ -91,12 +91,13 @@ Status Retried(const Status& status) { return status.code() == StatusCode::kInva
 
 }  // namespace
 
-Status VsiBacking::Fetch(const ArtefactRef& ref, const fs::path& path) {
+Result<std::string> VsiBacking::Fetch(const ArtefactRef& ref, const fs::path& path) {
   InitialiseGdal();
   const std::string object = ObjectPath(ref.sha256);
   VSIStatBufL info{};
   if (const Status found = Stat(object, &info); !found.ok()) return Retried(found).WithPrefix("artefact " + ref.name);
-  return Retried(CopyThrough(object, path.string()));
+  TREM_RETURN_IF_ERROR(Retried(CopyThrough(object, path.string())));
+  return std::string();
 }
 
 Status VsiBacking::Deliver(const ArtefactRef& ref, const fs::path& path) {

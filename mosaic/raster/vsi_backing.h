@@ -13,7 +13,7 @@ class VsiBacking final : public ArtefactBacking {
   explicit VsiBacking(std::string root) : root_(std::move(root)) {}
 
   // Errors: kNotFound for an object that is not there; kUnavailable with GDAL's reason when the store cannot be reached or refuses.
-  Status Fetch(const ArtefactRef& ref, const std::filesystem::path& path) override;
+  Result<std::string> Fetch(const ArtefactRef& ref, const std::filesystem::path& path) override;
   Status Deliver(const ArtefactRef& ref, const std::filesystem::path& path) override;
   // Ok when the store lets this process look into it. kInvalidInput when it refuses, kUnavailable when it does not answer.
   Status Check() const;

@@ -6,10 +6,14 @@
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
+#include <memory>
 #include <optional>
+#include <span>
+#include <string_view>
 #include <utility>
 
 #include "mosaic/base/digest.h"
+#include "mosaic/base/open_file.h"
 
 namespace trem {
 namespace fs = std::filesystem;
@@ -17,46 +21,21 @@ namespace {
 
 using std::chrono::milliseconds;
 
-constexpr std::uint64_t kChunkBytes = 1 << 20;
-constexpr std::uint64_t kCreditChunks = 8;
 constexpr milliseconds kSilenceMax{5000};
 constexpr int kSilencesMax = 6;
+constexpr int kDamagedMax = 6;  // Tries of one chunk.
 
-// Owns a file; -1 when it could not be opened.
-class File {
- public:
-  File(const fs::path& path, int flags) : path_(path), fd_(::open(path.c_str(), flags | O_CLOEXEC, 0644)) {}
-  ~File() {
-    if (fd_ >= 0) ::close(fd_);
+// The digest of the first `bytes` bytes of a file.
+Status DigestBeginning(const OpenFile& file, std::uint64_t bytes, Sha256* digest) {
+  const auto block = std::make_unique_for_overwrite<char[]>(kChunkBytes);
+  for (std::uint64_t offset = 0; offset < bytes;) {
+    const std::span<char> piece(block.get(), std::min(bytes - offset, kChunkBytes));
+    TREM_RETURN_IF_ERROR(file.ReadAt(offset, piece));
+    digest->Update({piece.data(), piece.size()});
+    offset += piece.size();
   }
-  File(const File&) = delete;
-  File& operator=(const File&) = delete;
-
-  Status Check() const { return fd_ >= 0 ? Status() : FromErrno("cannot open " + path_.string(), errno); }
-  Status WriteAt(std::uint64_t offset, const std::string& data) const {
-    for (std::size_t done = 0; done < data.size();) {
-      const ssize_t count = ::pwrite(fd_, data.data() + done, data.size() - done, static_cast<off_t>(offset + done));
-      if (count < 0 && errno != EINTR) return FromErrno("cannot write " + path_.string(), errno);
-      if (count > 0) done += static_cast<std::size_t>(count);
-    }
-    return {};
-  }
-  Result<std::string> ReadAt(std::uint64_t offset, std::size_t bytes) const {
-    std::string data(bytes, '\0');
-    for (std::size_t done = 0; done < bytes;) {
-      const ssize_t count = ::pread(fd_, data.data() + done, bytes - done, static_cast<off_t>(offset + done));
-      if (count < 0 && errno == EINTR) continue;
-      if (count < 0) return FromErrno("cannot read " + path_.string(), errno);
-      if (count == 0) return Corrupt(path_.string() + " became shorter while it was read");
-      done += static_cast<std::size_t>(count);
-    }
-    return data;
-  }
-
- private:
-  fs::path path_;
-  int fd_;
-};
+  return {};
+}
 
 std::string HostOf(const std::string& endpoint) { return endpoint.substr(0, endpoint.rfind(':')); }
 
@@ -75,11 +54,13 @@ Status FromReply(const v1::ErrorReply& error) {
 }  // namespace
 
 ArtefactChannel::ArtefactChannel(std::string coordinator, const ChannelOptions& options)
-    : coordinator_(std::move(coordinator)), options_(options) {}
+    : coordinator_(std::move(coordinator)), options_(options) {
+  KeepFreedChunks();
+}
 
 ArtefactChannel::~ArtefactChannel() = default;
 
-Result<v1::Envelope> ArtefactChannel::Ask(DealerChannel* channel, const v1::Envelope& question) const {
+Result<v1::Envelope> ArtefactChannel::AskControl(DealerChannel* channel, const v1::Envelope& question) const {
   TREM_RETURN_IF_ERROR(channel->Send(question, kSilenceMax));
   const auto deadline = std::chrono::steady_clock::now() + kSilenceMax;
   while (std::chrono::steady_clock::now() < deadline) {
@@ -96,24 +77,24 @@ Status ArtefactChannel::Connect() {
   TREM_ASSIGN_OR_RETURN(const auto control, DealerChannel::Connect(coordinator_, options_));
   v1::Envelope question;
   question.mutable_get_data_lane();
-  TREM_ASSIGN_OR_RETURN(const v1::Envelope answer, Ask(control.get(), question));
+  TREM_ASSIGN_OR_RETURN(const v1::Envelope answer, AskControl(control.get(), question));
   if (!answer.has_data_lane()) return Corrupt("the coordinator at " + coordinator_ + " did not say where its data lane is");
   TREM_ASSIGN_OR_RETURN(channel_, DealerChannel::Connect(Reachable(answer.data_lane().endpoint(), coordinator_), options_));
   return {};
 }
 
-Status ArtefactChannel::Send(const v1::Envelope& envelope) {
+Status ArtefactChannel::Send(const v1::Envelope& envelope, Payload payload) {
   TREM_RETURN_IF_ERROR(Connect());
-  const Status sent = channel_->Send(envelope, kSilenceMax);
+  const Status sent = channel_->Send(envelope, kSilenceMax, std::move(payload));
   if (!sent.ok()) channel_.reset();
   return sent;
 }
 
-Result<std::optional<v1::Envelope>> ArtefactChannel::Receive(const std::string& sha256, int* silences) {
+Result<std::optional<v1::Envelope>> ArtefactChannel::Receive(const std::string& sha256, int* silences, Payload* payload) {
   const auto deadline = std::chrono::steady_clock::now() + kSilenceMax;
   while (channel_ && std::chrono::steady_clock::now() < deadline) {
     if (on_chunk_ && !on_chunk_()) return Cancelled("stopped as asked");
-    const Result<std::optional<v1::Envelope>> answer = channel_->Receive(milliseconds(100));
+    const Result<std::optional<v1::Envelope>> answer = channel_->Receive(milliseconds(100), payload);
     if (!answer.ok() || !answer->has_value()) continue;
     const v1::Envelope& envelope = **answer;
     if (envelope.has_error()) {
@@ -132,54 +113,60 @@ Result<std::optional<v1::Envelope>> ArtefactChannel::Receive(const std::string& 
   return std::optional<v1::Envelope>();
 }
 
-Status ArtefactChannel::Fetch(const ArtefactRef& ref, const fs::path& path) {
-  const File file(path, O_WRONLY | O_CREAT);
-  TREM_RETURN_IF_ERROR(file.Check());
-  std::error_code error;
-  std::uint64_t received = fs::file_size(path, error);
-  if (error || received > ref.bytes) received = 0;
+void ArtefactChannel::Ask(const ArtefactRef& ref, std::uint64_t received, std::uint64_t* requested) {
+  for (; *requested < ref.bytes && *requested < received + kCreditChunks * kChunkBytes; *requested += kChunkBytes) {
+    v1::Envelope envelope;
+    envelope.mutable_get_chunk()->set_sha256(ref.sha256);
+    envelope.mutable_get_chunk()->set_offset(*requested);
+    envelope.mutable_get_chunk()->set_bytes_max(static_cast<std::uint32_t>(std::min(kChunkBytes, ref.bytes - *requested)));
+    if (!Send(envelope, {}).ok()) return;
+  }
+}
+
+Result<std::string> ArtefactChannel::Fetch(const ArtefactRef& ref, const fs::path& path) {
+  TREM_ASSIGN_OR_RETURN(const OpenFile file, OpenFile::Open(path, O_RDWR | O_CREAT));
+  TREM_ASSIGN_OR_RETURN(std::uint64_t received, file.Size());
+  if (received > ref.bytes) received = 0;
+  Sha256 digest;
+  TREM_RETURN_IF_ERROR(DigestBeginning(file, received, &digest));
   std::uint64_t requested = received;
   int silences = 0;
+  int damaged = 0;
   while (received < ref.bytes) {
-    for (; requested < ref.bytes && requested < received + kCreditChunks * kChunkBytes; requested += kChunkBytes) {
-      v1::Envelope envelope;
-      envelope.mutable_get_chunk()->set_sha256(ref.sha256);
-      envelope.mutable_get_chunk()->set_offset(requested);
-      envelope.mutable_get_chunk()->set_bytes_max(static_cast<std::uint32_t>(std::min(kChunkBytes, ref.bytes - requested)));
-      if (!Send(envelope).ok()) break;
-    }
-    TREM_ASSIGN_OR_RETURN(const std::optional<v1::Envelope> answer, Receive(ref.sha256, &silences));
+    Ask(ref, received, &requested);
+    Payload payload;
+    TREM_ASSIGN_OR_RETURN(const std::optional<v1::Envelope> answer, Receive(ref.sha256, &silences, &payload));
     if (!answer) {
       requested = received;
       continue;
     }
-    const v1::Chunk& chunk = answer->chunk();
-    if (chunk.offset() != received || chunk.data().empty() || chunk.data().size() > ref.bytes - received) continue;
-    if (Sha256Hex(chunk.data()) != chunk.data_sha256()) {
+    const std::string_view data = payload.bytes();
+    if (answer->chunk().offset() != received || data.empty() || data.size() > ref.bytes - received) continue;
+    if (Xxh3(data) != answer->chunk().data_xxh3()) {
       channel_.reset();
       requested = received;
-      if (++silences >= kSilencesMax) return Corrupt("artefact " + ref.name + ": chunks arrive damaged");
+      if (++damaged >= kDamagedMax) return Corrupt("artefact " + ref.name + ": chunks arrive damaged");
       continue;
     }
-    TREM_RETURN_IF_ERROR(file.WriteAt(received, chunk.data()));
-    received += chunk.data().size();
+    damaged = 0;
+    digest.Update(data);
+    TREM_RETURN_IF_ERROR(file.WriteAt(received, data));
+    received += data.size();
   }
   if (::truncate(path.c_str(), static_cast<off_t>(ref.bytes)) != 0) return FromErrno("cannot cut " + path.string(), errno);
-  return {};
+  return digest.FinishHex();
 }
 
 Status ArtefactChannel::Deliver(const ArtefactRef& ref, const fs::path& path) {
-  const File file(path, O_RDONLY);
-  TREM_RETURN_IF_ERROR(file.Check());
-  const auto send = [&](std::uint64_t offset, std::string data) {
+  TREM_ASSIGN_OR_RETURN(const OpenFile file, OpenFile::Open(path, O_RDONLY));
+  const auto send = [&](std::uint64_t offset, Payload data) {
     v1::Envelope envelope;
     v1::PutChunk* put = envelope.mutable_put_chunk();
     put->set_sha256(ref.sha256);
     put->set_bytes(ref.bytes);
     put->set_offset(offset);
-    put->set_data_sha256(Sha256Hex(data));
-    put->set_data(std::move(data));
-    return Send(envelope);
+    put->set_data_xxh3(Xxh3(data.bytes()));
+    return Send(envelope, std::move(data));
   };
   std::uint64_t sent = 0;
   std::uint64_t accepted = 0;
@@ -188,10 +175,12 @@ Status ArtefactChannel::Deliver(const ArtefactRef& ref, const fs::path& path) {
   for (;;) {
     if (asks) (void)send(0, {}).ok();
     for (; !asks && sent < ref.bytes && sent < accepted + kCreditChunks * kChunkBytes; sent += kChunkBytes) {
-      TREM_ASSIGN_OR_RETURN(std::string data, file.ReadAt(sent, static_cast<std::size_t>(std::min(kChunkBytes, ref.bytes - sent))));
+      Payload data(std::min(kChunkBytes, ref.bytes - sent));
+      TREM_RETURN_IF_ERROR(file.ReadAt(sent, {data.data(), data.size()}));
       if (!send(sent, std::move(data)).ok()) break;
     }
-    TREM_ASSIGN_OR_RETURN(const std::optional<v1::Envelope> answer, Receive(ref.sha256, &silences));
+    Payload none;
+    TREM_ASSIGN_OR_RETURN(const std::optional<v1::Envelope> answer, Receive(ref.sha256, &silences, &none));
     if (!answer) {
       asks = true;
       continue;

@@ -51,15 +51,12 @@ Result<std::unique_ptr<DealerChannel>> DealerChannel::Connect(const std::string&
   return std::unique_ptr<DealerChannel>(new DealerChannel(std::move(state)));
 }
 
-Status DealerChannel::Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout) {
+Status DealerChannel::Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout, Payload payload) {
   const EnvelopeFrames frames = EncodeEnvelope(envelope);
   const auto deadline = std::chrono::steady_clock::now() + timeout;
   for (;;) {
     try {
-      if (state_->socket.send(zmq::buffer(frames.header), zmq::send_flags::sndmore | zmq::send_flags::dontwait) &&
-          state_->socket.send(zmq::buffer(frames.body), zmq::send_flags::dontwait)) {
-        return {};
-      }
+      if (SendNow(&state_->socket, nullptr, frames, CarriesPayload(envelope) ? &payload : nullptr)) return {};
     } catch (const zmq::error_t& error) {
       if (error.num() != EINTR) return Unavailable("cannot send to the coordinator at " + state_->endpoint + ": " + error.what());
     }
@@ -76,15 +73,15 @@ Status DealerChannel::Send(const v1::Envelope& envelope, std::chrono::millisecon
 }
 
 Result<std::optional<v1::Envelope>> DealerChannel::Receive(std::chrono::milliseconds timeout) {
+  Payload ignored;
+  return Receive(timeout, &ignored);
+}
+
+Result<std::optional<v1::Envelope>> DealerChannel::Receive(std::chrono::milliseconds timeout, Payload* payload) {
   constexpr std::size_t kFrameCount = 2;  // Header, body.
   RawMessage message;
-  if (!WaitFor(&state_->socket, state_->wake, ZMQ_POLLIN, timeout) || !ReceiveNow(&state_->socket, kFrameCount, &message)) {
-    return std::optional<v1::Envelope>();
-  }
-  Result<v1::Envelope> envelope = Corrupt("a message that does not consist of two frames");
-  if (message.is_complete && message.frames.size() == kFrameCount) {
-    envelope = DecodeEnvelope(message.frames[0], message.frames[1], state_->options.limits);
-  }
+  if (!ReceiveNext(&state_->socket, state_->wake, timeout, kFrameCount, &message)) return std::optional<v1::Envelope>();
+  Result<v1::Envelope> envelope = DecodeMessage(std::move(message), kFrameCount, state_->options.limits, payload);
   if (!envelope.ok()) {
     ++state_->garbage_count;
     return envelope.status();

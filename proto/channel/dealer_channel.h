@@ -8,6 +8,7 @@
 #include <string>
 
 #include "mosaic/base/status.h"
+#include "proto/channel/payload.h"
 #include "proto/channel/router_channel.h"
 #include "proto/codec/envelope.h"
 
@@ -27,9 +28,11 @@ class DealerChannel {
 
   // kUnavailable when no connection stands within `timeout` (nothing is queued then). Ok means "on its way": a message can be lost when
   // the connection breaks; what matters is acknowledged and resent by the caller.
-  Status Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout = std::chrono::milliseconds(0));
-  // The next message; nothing after `timeout`, a Wake or a signal. Errors as DecodeEnvelope; the channel stays usable.
+  Status Send(const v1::Envelope& envelope, std::chrono::milliseconds timeout = std::chrono::milliseconds(0), Payload payload = {});
+  // The next message; nothing after `timeout`, a Wake or a signal. Errors as DecodeEnvelope and ValidatePayload; the channel stays usable.
   Result<std::optional<v1::Envelope>> Receive(std::chrono::milliseconds timeout);
+  // The same, with the bytes that came beside it.
+  Result<std::optional<v1::Envelope>> Receive(std::chrono::milliseconds timeout, Payload* payload);
   // Makes a running or the next Receive return. From any thread or signal handler.
   void Wake() const;
   // Messages that were not valid envelopes.

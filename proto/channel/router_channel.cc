@@ -75,11 +75,11 @@ std::optional<RouterChannel::Incoming> RouterChannel::Poll(std::chrono::millisec
   constexpr std::size_t kFrameCount = 3;  // Identity, header, body.
   state_->monitor->Take(&state_->counters);
   RawMessage message;
-  if (!WaitFor(&state_->socket, state_->wake, ZMQ_POLLIN, timeout) || !ReceiveNow(&state_->socket, kFrameCount, &message))
-    return std::nullopt;
-  Incoming incoming{message.frames.front(), Corrupt("a message that does not consist of two frames"), {}, v1::ROLE_UNSPECIFIED, 0};
+  if (!ReceiveNext(&state_->socket, state_->wake, timeout, kFrameCount, &message)) return std::nullopt;
+  Incoming incoming{message.frames.front(), Corrupt("not decoded"), {}, v1::ROLE_UNSPECIFIED, 0};
   ++state_->counters.messages_received;
   for (const std::string& frame : message.frames) state_->counters.bytes_received += frame.size();
+  if (message.payload) state_->counters.bytes_received += message.payload->size();
   if (state_->options.allow_list) {
     const auto entry = state_->options.allow_list->Find(message.user);
     if (!entry) {
@@ -90,24 +90,19 @@ std::optional<RouterChannel::Incoming> RouterChannel::Poll(std::chrono::millisec
     incoming.user = entry->name;
     incoming.role = entry->role;
   }
-  if (message.is_complete && message.frames.size() == kFrameCount) {
-    incoming.bytes = message.frames[2].size();
-    incoming.envelope = DecodeEnvelope(message.frames[1], message.frames[2], state_->options.limits);
-  }
+  if (message.frames.size() == kFrameCount) incoming.bytes = message.frames.back().size();
+  incoming.envelope = DecodeMessage(std::move(message), kFrameCount, state_->options.limits, &incoming.payload);
   if (!incoming.envelope.ok()) ++state_->counters.garbage;
   return incoming;
 }
 
-bool RouterChannel::Send(const std::string& peer, const v1::Envelope& envelope) {
+bool RouterChannel::Send(const std::string& peer, const v1::Envelope& envelope, Payload payload) {
   const EnvelopeFrames frames = EncodeEnvelope(envelope);
-  constexpr auto kMore = zmq::send_flags::sndmore | zmq::send_flags::dontwait;
+  const std::size_t bytes = frames.header.size() + frames.body.size() + payload.size();
   try {
-    // The first frame chooses the peer: when it is taken, the others are.
-    if (!state_->socket.send(zmq::buffer(peer), kMore)) return false;
-    const bool sent = state_->socket.send(zmq::buffer(frames.header), kMore).has_value() &&
-                      state_->socket.send(zmq::buffer(frames.body), zmq::send_flags::dontwait).has_value();
+    const bool sent = SendNow(&state_->socket, &peer, frames, CarriesPayload(envelope) ? &payload : nullptr);
     state_->counters.messages_sent += sent ? 1 : 0;
-    state_->counters.bytes_sent += sent ? frames.header.size() + frames.body.size() : 0;
+    state_->counters.bytes_sent += sent ? bytes : 0;
     return sent;
   } catch (const zmq::error_t&) {
     return false;  // EHOSTUNREACH: the peer is gone.

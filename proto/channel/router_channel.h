@@ -8,6 +8,7 @@
 
 #include "mosaic/base/status.h"
 #include "proto/channel/keys.h"
+#include "proto/channel/payload.h"
 #include "proto/codec/envelope.h"
 
 namespace trem {
@@ -20,6 +21,10 @@ struct ChannelOptions {
   std::optional<v1::KeyFile> own_key;           // With its secret half.
   std::string coordinator_public_key;           // DealerChannel, with own_key: Z85; nobody else is talked to.
   std::shared_ptr<const AllowList> allow_list;  // RouterChannel, with own_key: who is let in.
+  // Messages of one peer that wait here to be read: what it sends beyond them waits at its end.
+  int messages_unread_max = 256;
+  // Messages that wait until one peer takes them; RouterChannel loses those beyond.
+  int messages_unsent_max = 1000;
   // RouterChannel: further connections are closed as soon as they are accepted.
   int connections_max = 4096;
   // A connection that has not shaken hands (and shown its key) after this is closed.
@@ -28,16 +33,16 @@ struct ChannelOptions {
 
 // Totals since the socket was made.
 struct ChannelCounters {
-  std::uint64_t connections = 0;         // Standing now.
+  std::uint64_t connections = 0;  // Standing now.
   std::uint64_t accepted = 0;
-  std::uint64_t refused_full = 0;        // Closed because there were connections_max already.
-  std::uint64_t handshakes_failed = 0;   // No key, an unknown key, another protocol, or too slow.
-  std::uint64_t keys_refused = 0;        // Of these: an unknown key.
+  std::uint64_t refused_full = 0;       // Closed because there were connections_max already.
+  std::uint64_t handshakes_failed = 0;  // No key, an unknown key, another protocol, or too slow.
+  std::uint64_t keys_refused = 0;       // Of these: an unknown key.
   std::uint64_t messages_received = 0;
   std::uint64_t messages_sent = 0;
   std::uint64_t bytes_received = 0;
   std::uint64_t bytes_sent = 0;
-  std::uint64_t garbage = 0;             // Messages that were not valid envelopes.
+  std::uint64_t garbage = 0;  // Messages that were not valid envelopes.
 };
 
 // The coordinator's end (ROUTER). All calls but Wake belong to the thread that made it.
@@ -50,6 +55,7 @@ class RouterChannel {
     // Of its key; unspecified without keys: whoever reaches the socket may do everything.
     v1::Role role = v1::ROLE_UNSPECIFIED;
     std::size_t bytes = 0;  // Of the body.
+    Payload payload{};      // Of a PutChunk.
   };
 
   // Binds to ipc://PATH (a socket that only this user can connect to), tcp://127.x.y.z:PORT or tcp://127.x.y.z:* (any free port), and
@@ -63,7 +69,7 @@ class RouterChannel {
   // The next message; nothing after `timeout`, a Wake or a signal. Messages are returned before wakes.
   std::optional<Incoming> Poll(std::chrono::milliseconds timeout);
   // False when the peer is gone or does not take what it was sent: the message is lost and the sender has to resend it in time.
-  bool Send(const std::string& peer, const v1::Envelope& envelope);
+  bool Send(const std::string& peer, const v1::Envelope& envelope, Payload payload = {});
   // Makes a running or the next Poll return. From any thread or signal handler.
   void Wake() const;
   ChannelCounters counters() const;

@@ -112,10 +112,10 @@ Status CheckDealer(const std::string& endpoint, const ChannelOptions& options) {
 }
 
 void ConfigureSocket(zmq::socket_t* socket, const std::string& endpoint, const ChannelOptions& options) {
-  // What one peer may have waiting here; the sum over peers is bounded by their number.
-  constexpr int kMessagesWaitingMax = 256;
+  // The sum over peers is bounded by their number.
   socket->set(zmq::sockopt::linger, static_cast<int>(options.linger.count()));
-  socket->set(zmq::sockopt::rcvhwm, kMessagesWaitingMax);
+  socket->set(zmq::sockopt::rcvhwm, options.messages_unread_max);
+  socket->set(zmq::sockopt::sndhwm, options.messages_unsent_max);
   // A connection that has not shaken hands by then is closed.
   socket->set(zmq::sockopt::handshake_ivl, static_cast<int>(options.handshake_timeout.count()));
   // Machines that went away without a word are noticed after about two minutes.
@@ -146,20 +146,47 @@ bool WaitFor(zmq::socket_t* socket, const WakeEvent& wake, short events, std::ch
 }
 
 bool ReceiveNow(zmq::socket_t* socket, std::size_t frames_max, RawMessage* message) {
-  message->frames.clear();
-  message->user.clear();
-  message->is_complete = true;
-  zmq::message_t frame;
-  do {  // The frames of one message arrive together: only the first can be missing.
+  *message = {};
+  for (bool more = true; more;) {  // The frames of one message arrive together: only the first can be missing.
+    zmq::message_t frame;
     if (!ReceiveFrame(socket, &frame)) return false;
+    more = frame.more();
+    if (!more) message->user = UserOf(frame);
     if (message->frames.size() < frames_max) {
       message->frames.push_back(frame.to_string());
+    } else if (!message->payload) {
+      message->payload = std::move(frame);
     } else {
       message->is_complete = false;
     }
-    if (!frame.more()) message->user = UserOf(frame);
-  } while (frame.more());
+  }
   return true;
+}
+
+bool ReceiveNext(zmq::socket_t* socket, const WakeEvent& wake, std::chrono::milliseconds timeout, std::size_t frames_max,
+                 RawMessage* message) {
+  // Where messages come one after the other, asking whether there is one would cost more than taking it.
+  if (ReceiveNow(socket, frames_max, message)) return true;
+  return WaitFor(socket, wake, ZMQ_POLLIN, timeout) && ReceiveNow(socket, frames_max, message);
+}
+
+Result<v1::Envelope> DecodeMessage(RawMessage message, std::size_t frame_count, const EnvelopeLimits& limits, Payload* payload) {
+  if (!message.is_complete || message.frames.size() != frame_count) {
+    return Corrupt("a message that does not consist of two frames, or three with the bytes of a chunk");
+  }
+  TREM_ASSIGN_OR_RETURN(v1::Envelope envelope, DecodeEnvelope(message.frames[frame_count - 2], message.frames[frame_count - 1], limits));
+  TREM_RETURN_IF_ERROR(
+      ValidatePayload(envelope, message.payload ? std::optional<std::size_t>(message.payload->size()) : std::optional<std::size_t>()));
+  if (message.payload) *payload = Payload(std::move(*message.payload));
+  return envelope;
+}
+
+bool SendNow(zmq::socket_t* socket, const std::string* peer, const EnvelopeFrames& frames, Payload* payload) {
+  constexpr auto kMore = zmq::send_flags::sndmore | zmq::send_flags::dontwait;
+  if (peer != nullptr && !socket->send(zmq::buffer(*peer), kMore)) return false;
+  if (!socket->send(zmq::buffer(frames.header), kMore)) return false;
+  if (payload == nullptr) return socket->send(zmq::buffer(frames.body), zmq::send_flags::dontwait).has_value();
+  return socket->send(zmq::buffer(frames.body), kMore).has_value() && socket->send(payload->frame(), zmq::send_flags::dontwait).has_value();
 }
 
 }  // namespace trem

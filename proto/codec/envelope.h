@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -14,6 +15,8 @@ namespace trem {
 //
 //   header  8 bytes: "TREM", u16 protocol version, u16 flags (0); little endian
 //   body    a serialised v1::Envelope
+//
+// On the data lane a third one holds the bytes of a chunk.
 //
 // The version stands outside the body, so that peers of any two versions can tell each other that they do not match.
 struct EnvelopeFrames {
@@ -37,6 +40,11 @@ Result<v1::Envelope> DecodeEnvelope(std::string_view header, std::string_view bo
 // The one validator of what peers say: exactly one body; identifiers, digests, enumerations and numbers in range. DecodeEnvelope has
 // applied it already. A Sortie inside is checked for its presence only: CompleteSortie checks its values. Errors are kCorrupt.
 Status ValidateEnvelope(const v1::Envelope& envelope);
+
+// Chunk and PutChunk travel with bytes beside them, in a third frame.
+bool CarriesPayload(const v1::Envelope& envelope);
+// Whether the third frame, of so many bytes or missing, is what belongs to a valid envelope. Errors are kCorrupt.
+Status ValidatePayload(const v1::Envelope& envelope, std::optional<std::size_t> bytes);
 
 // [a-z0-9-]{1,64}.
 bool IsJobId(std::string_view text);

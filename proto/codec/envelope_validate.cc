@@ -176,12 +176,6 @@ Status Validate(const v1::Drain& drain) { return CheckText("reason", drain.reaso
 
 Status Validate(const v1::Goodbye& goodbye) { return CheckText("reason", goodbye.reason(), kTextBytesMax); }
 
-Status CheckChunk(const std::string& data, const std::string& data_sha256) {
-  if (data.size() > kChunkBytesMax)
-    return Bad("data", fmt::format("{} bytes long", data.size()), fmt::format("at most {}", kChunkBytesMax));
-  return CheckDigest("data_sha256", data_sha256);
-}
-
 Status Validate(const v1::TaskLog& log) {
   TREM_RETURN_IF_ERROR(Validate(log.attempt()));
   if (log.lines_size() > kLogLinesMax)
@@ -212,18 +206,10 @@ Status Validate(const v1::GetChunk& get) {
   return CheckRange("bytes_max", get.bytes_max(), 1, kChunkBytesMax);
 }
 
-Status Validate(const v1::Chunk& chunk) {
-  TREM_RETURN_IF_ERROR(CheckDigest("sha256", chunk.sha256()));
-  return CheckChunk(chunk.data(), chunk.data_sha256());
-}
-
 Status Validate(const v1::PutChunk& put) {
   TREM_RETURN_IF_ERROR(CheckDigest("sha256", put.sha256()));
-  if (put.offset() > put.bytes() || put.data().size() > put.bytes() - put.offset()) {
-    return Bad("offset", fmt::format("{} with {} bytes of data", put.offset(), put.data().size()),
-               fmt::format("within the artefact's {} bytes", put.bytes()));
-  }
-  return CheckChunk(put.data(), put.data_sha256());
+  if (put.offset() <= put.bytes()) return {};
+  return Bad("offset", fmt::format("{}", put.offset()), fmt::format("within the artefact's {} bytes", put.bytes()));
 }
 
 Status CheckUser(const std::string& user) {
@@ -369,7 +355,7 @@ Status ValidateBody(const v1::Envelope& envelope) {
     case v1::Envelope::kGetChunk:
       return Validate(envelope.get_chunk());
     case v1::Envelope::kChunk:
-      return Validate(envelope.chunk());
+      return CheckDigest("sha256", envelope.chunk().sha256());
     case v1::Envelope::kPutChunk:
       return Validate(envelope.put_chunk());
     case v1::Envelope::kPutReply:
@@ -396,6 +382,22 @@ Status ValidateEnvelope(const v1::Envelope& envelope) {
   const Status status = ValidateBody(envelope);
   if (status.ok() || envelope.body_case() == v1::Envelope::BODY_NOT_SET) return status;
   return status.WithPrefix(v1::Envelope::descriptor()->FindFieldByNumber(envelope.body_case())->name());
+}
+
+bool CarriesPayload(const v1::Envelope& envelope) { return envelope.has_chunk() || envelope.has_put_chunk(); }
+
+Status ValidatePayload(const v1::Envelope& envelope, std::optional<std::size_t> bytes) {
+  if (CarriesPayload(envelope) != bytes.has_value()) {
+    return Corrupt(bytes ? "a message with a frame too many" : "a chunk without the frame of its bytes");
+  }
+  if (!bytes) return {};
+  if (*bytes > kChunkBytesMax) return Bad("the chunk", fmt::format("{} bytes long", *bytes), fmt::format("at most {}", kChunkBytesMax));
+  const v1::PutChunk& put = envelope.put_chunk();
+  if (envelope.has_put_chunk() && *bytes > put.bytes() - put.offset()) {
+    return Bad("the chunk", fmt::format("{} bytes long at offset {}", *bytes, put.offset()),
+               fmt::format("within the artefact's {} bytes", put.bytes()));
+  }
+  return {};
 }
 
 }  // namespace trem

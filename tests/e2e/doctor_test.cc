@@ -220,14 +220,14 @@ TEST_F(DoctorTest, TellsOfAnotherProtocolVersion) {
         (void)!router.recv(frame);
       } while (frame.more());
       router.send(peer, zmq::send_flags::sndmore);
-      router.send(zmq::buffer(std::string("TREM\x02\0\0\0", 8)), zmq::send_flags::sndmore);
+      router.send(zmq::buffer(std::string("TREM\x09\0\0\0", 8)), zmq::send_flags::sndmore);
       router.send(zmq::message_t(), zmq::send_flags::none);
     }
   });
   const auto findings = Findings();
   stop = true;
   coordinator.join();
-  ExpectBad(findings, "coordinator", "speaks protocol version 2, this program version 1; install the same release of trem on both sides",
+  ExpectBad(findings, "coordinator", "speaks protocol version 9, this program version 2; install the same release of trem on both sides",
             "");
 }
 

@@ -193,7 +193,7 @@ TEST_F(SecureServiceTest, CountsWhatItRefuses) {
     socket.set(zmq::sockopt::curve_secretkey, key.secret_key());
     socket.set(zmq::sockopt::curve_serverkey, ReadPublicKey(Key("hill", ".pub")).value().public_key());
     socket.connect(endpoint_);
-    socket.send(zmq::buffer(std::string("TREM\x01\0\0\0", 8)), zmq::send_flags::sndmore);
+    socket.send(zmq::buffer(std::string("TREM\x02\0\0\0", 8)), zmq::send_flags::sndmore);
     socket.send(zmq::buffer(std::string("\xff\xff no envelope")), zmq::send_flags::none);  // malformed
     zmq::message_t answer;
     EXPECT_TRUE(socket.recv(answer));

@@ -69,7 +69,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   static unsigned count = 0;
   if (++count % 256 == 0) {
     // A heartbeat in two frames: the header, and an empty message of field 40.
-    const std::string heartbeat = Ready() + "\x01\x08TREM\x01\0\0\0"s + "\x00\x03\xc2\x02\x00"s;
+    const std::string heartbeat = Ready() + "\x01\x08TREM\x02\0\0\0"s + "\x00\x03\xc2\x02\x00"s;
     TREM_CHECK_MSG(Say(channel.get(), heartbeat, true, true), "a valid message is not heard any more");
   }
   return 0;

@@ -24,7 +24,7 @@ int RunGetArtefactCommand(int argc, char** argv) {
     return ExitOfParseError(&app, error);
   }
   ref.name = ref.sha256;
-  const Status status = IsSha256Hex(ref.sha256) ? VsiBacking(store).Fetch(ref, output) : InvalidInput("--sha256 is not a digest");
+  const Status status = IsSha256Hex(ref.sha256) ? VsiBacking(store).Fetch(ref, output).status() : InvalidInput("--sha256 is not a digest");
   if (!status.ok()) std::cerr << "trem-worker: " << status.message() << "\n";
   return ExitCodeOf(status);
 }

@@ -28,7 +28,7 @@ Status CheckStore(const std::string& store) {
   const ArtefactRef ref{"check", Sha256Hex(text), text.size()};
   TREM_RETURN_IF_ERROR(WriteFileAtomically(scratch.path() / "there", text));
   TREM_RETURN_IF_ERROR(VsiBacking(store).Deliver(ref, scratch.path() / "there"));
-  TREM_RETURN_IF_ERROR(VsiBacking(store).Fetch(ref, scratch.path() / "back"));
+  TREM_RETURN_IF_ERROR(VsiBacking(store).Fetch(ref, scratch.path() / "back").status());
   TREM_ASSIGN_OR_RETURN(const std::string back, ReadFile(scratch.path() / "back", text.size() + 1));
   return back == text ? Status() : Corrupt("the store " + store + " gives other bytes back than it was given");
 }

@@ -5,7 +5,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
+#include <thread>
+#include <zmq.hpp>
 
 #include "mosaic/base/digest.h"
 #include "mosaic/base/file.h"
@@ -171,6 +174,114 @@ TEST_F(ArtefactServerTest, UploadsThatAreUnderWayCountTowardsTheLimit) {
   broken->set_on_chunk([&] { return ++chunks < 6; });
   EXPECT_FALSE(ArtefactStore::OpenCache(folder_ / "one", broken)->PutBytes("a", Noise(15'000'000)).ok());
   EXPECT_EQ(NewCache("two").PutBytes("b", Noise(6'000'000)).status().code(), StatusCode::kExhausted);
+}
+
+// Whoever asks for far more than his credit and takes none of it: what waits for him at the server is bounded, and others are served.
+TEST_F(ArtefactServerTest, WhoDoesNotTakeWhatHeAskedForFillsNoMemory) {
+  constexpr int kAsked = 400;
+  constexpr std::uint32_t kBytes = std::uint32_t{4} << 20;
+  const ArtefactRef ref = store_.PutBytes("a", Noise(kBytes)).value();
+  zmq::context_t context;
+  zmq::socket_t greedy(context, zmq::socket_type::dealer);
+  greedy.set(zmq::sockopt::linger, 0);
+  greedy.set(zmq::sockopt::rcvhwm, 1);
+  greedy.connect(Endpoint("data"));
+  v1::Envelope question;
+  question.mutable_get_chunk()->set_sha256(ref.sha256);
+  question.mutable_get_chunk()->set_bytes_max(kBytes);
+  const EnvelopeFrames frames = EncodeEnvelope(question);
+  for (int i = 0; i < kAsked; ++i) {
+    (void)greedy.send(zmq::buffer(frames.header), zmq::send_flags::sndmore);
+    (void)greedy.send(zmq::buffer(frames.body), zmq::send_flags::none);
+  }
+  while (server_->bytes_sent() < std::uint64_t{kAsked} * kBytes) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  EXPECT_TRUE(NewCache("cache").Verify(ref).ok());
+  greedy.set(zmq::sockopt::rcvtimeo, 500);
+  int taken = 0;
+  for (zmq::message_t frame; greedy.recv(frame);) taken += frame.more() ? 0 : 1;
+  EXPECT_GE(taken, 1);
+  EXPECT_LE(taken, 8 * static_cast<int>(kCreditChunks)) << "the queue holds four credits; kernel and receiver hold some more";
+}
+
+TEST_F(ArtefactServerTest, ADamagedChunkOfAnUploadIsAskedForAgain) {
+  const std::string content = Noise(1000);
+  const std::unique_ptr<DealerChannel> channel = DealerChannel::Connect(Endpoint("data")).value();
+  const auto put = [&](std::uint64_t checksum) {
+    v1::Envelope envelope;
+    envelope.mutable_put_chunk()->set_sha256(Sha256Hex(content));
+    envelope.mutable_put_chunk()->set_bytes(content.size());
+    envelope.mutable_put_chunk()->set_data_xxh3(checksum);
+    Payload payload(content.size());
+    std::copy(content.begin(), content.end(), payload.data());
+    EXPECT_TRUE(channel->Send(envelope, std::chrono::seconds(10), std::move(payload)).ok());
+    return channel->Receive(std::chrono::seconds(10)).value()->put_reply();
+  };
+  const v1::PutReply damaged = put(Xxh3(content) ^ 1);
+  EXPECT_EQ(damaged.next_offset(), 0U);
+  EXPECT_FALSE(damaged.is_stored());
+  EXPECT_TRUE(put(Xxh3(content)).is_stored());
+}
+
+// A stand-in for the data lane that gives each chunk of an artefact of `content`, the first `damaged` of them with a bit changed; with
+// `is_hidden` the checksum is that of the changed bytes, as if the damage had been done before.
+class DamagingServer {
+ public:
+  DamagingServer(const std::string& endpoint, std::string content, int damaged, bool is_hidden)
+      : content_(std::move(content)), channel_(RouterChannel::Bind(endpoint).value()), thread_([this, damaged, is_hidden] {
+          for (int left = damaged; !stop_;) {
+            const auto incoming = channel_->Poll(std::chrono::milliseconds(50));
+            if (incoming && incoming->envelope.ok()) left -= Answer(*incoming, left > 0, is_hidden);
+          }
+        }) {}
+  ~DamagingServer() {
+    stop_ = true;
+    thread_.join();
+  }
+
+ private:
+  int Answer(const RouterChannel::Incoming& incoming, bool damage, bool is_hidden) {
+    const v1::GetChunk& get = incoming.envelope->get_chunk();
+    Payload payload(get.bytes_max());
+    std::copy_n(content_.begin() + static_cast<std::ptrdiff_t>(get.offset()), payload.size(), payload.data());
+    v1::Envelope answer;
+    answer.mutable_chunk()->set_sha256(get.sha256());
+    answer.mutable_chunk()->set_offset(get.offset());
+    if (!is_hidden) answer.mutable_chunk()->set_data_xxh3(Xxh3(payload.bytes()));
+    if (damage) payload.data()[payload.size() / 2] ^= 1;
+    if (is_hidden) answer.mutable_chunk()->set_data_xxh3(Xxh3(payload.bytes()));
+    channel_->Send(incoming.peer, answer, std::move(payload));
+    return damage ? 1 : 0;
+  }
+
+  std::string content_;
+  std::unique_ptr<RouterChannel> channel_;
+  std::atomic<bool> stop_{false};
+  std::thread thread_;
+};
+
+TEST_F(ArtefactServerTest, AChunkThatWasDamagedOnItsWayIsFetchedAgain) {
+  server_.reset();
+  const std::string content = Noise(3'000'000);
+  const ArtefactRef ref{"a", Sha256Hex(content), content.size()};
+  const DamagingServer server(Endpoint("data"), content, 2, false);
+  const auto read = NewCache("cache").ReadVerified(ref, 1 << 30);
+  ASSERT_TRUE(read.ok()) << read.status().message();
+  EXPECT_TRUE(*read == content);
+}
+
+TEST_F(ArtefactServerTest, WhatKeepsArrivingDamagedIsRefused) {
+  server_.reset();
+  const std::string content = Noise(3'000'000);
+  const ArtefactRef ref{"a", Sha256Hex(content), content.size()};
+  for (const bool is_hidden : {false, true}) {
+    const DamagingServer server(Endpoint("data"), content, 1'000'000, is_hidden);
+    const ArtefactStore cache = NewCache(is_hidden ? "one" : "two");
+    const Status status = cache.Locate(ref).status();
+    EXPECT_EQ(status.code(), StatusCode::kCorrupt);
+    EXPECT_THAT(status.message(), HasSubstr(is_hidden ? "arrived with digest" : "chunks arrive damaged"));
+    std::uint64_t bytes = 0;
+    EXPECT_FALSE(cache.Find(ref.sha256, &bytes).ok());
+  }
 }
 
 TEST_F(ArtefactServerTest, SaysThatAnArtefactIsMissingOrDamaged) {

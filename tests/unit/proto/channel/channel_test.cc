@@ -77,6 +77,32 @@ TEST_F(ChannelTest, CarriesEnvelopesBothWays) {
   EXPECT_TRUE((*reply)->has_heartbeat());
 }
 
+TEST_F(ChannelTest, CarriesTheBytesOfChunksBesideThem) {
+  auto router = Router();
+  auto dealer = Dealer();
+  const std::string text = std::string(100'000, 'x') + "end";
+  const auto payload_of = [&text] {
+    Payload payload(text.size());
+    std::copy(text.begin(), text.end(), payload.data());
+    return payload;
+  };
+  v1::Envelope put, chunk;
+  put.mutable_put_chunk()->set_sha256(std::string(64, 'a'));
+  put.mutable_put_chunk()->set_bytes(text.size());
+  chunk.mutable_chunk()->set_sha256(std::string(64, 'a'));
+  ASSERT_TRUE(dealer->Send(put, kLong, payload_of()).ok());
+  const auto incoming = Next(router.get());
+  ASSERT_TRUE(incoming && incoming->envelope.ok());
+  EXPECT_TRUE(incoming->envelope->has_put_chunk());
+  EXPECT_TRUE(incoming->payload.bytes() == text);
+  ASSERT_TRUE(router->Send(incoming->peer, chunk, payload_of()));
+  Payload arrived;
+  const auto reply = dealer->Receive(kLong, &arrived);
+  ASSERT_TRUE(reply.ok() && reply->has_value());
+  EXPECT_TRUE(arrived.bytes() == text);
+  EXPECT_EQ(router->counters().garbage + dealer->garbage_count(), 0U);
+}
+
 TEST_F(ChannelTest, WorksOverLoopbackTcpAndNamesTheRealPort) {
   endpoint_ = "tcp://127.0.0.1:*";
   auto router = Router();
@@ -120,7 +146,7 @@ TEST_F(ChannelTest, CountsGarbageAndStaysUsable) {
   zmq::socket_t raw(context, zmq::socket_type::dealer);
   raw.set(zmq::sockopt::linger, 0);
   raw.connect(endpoint_);
-  const std::string header("TREM\x01\0\0\0", 8);
+  const std::string header("TREM\x02\0\0\0", 8);
   const std::vector<std::vector<std::string>> messages = {
       {"x"}, {"x", "y"}, {header}, {header, "garbage"}, {header, "", ""}, {header, ""}, std::vector<std::string>(50, header)};
   for (const auto& frames : messages) {

@@ -114,11 +114,32 @@ TEST(Envelope, DecodesWhatItEncoded) {
   heartbeat.mutable_heartbeat();
   for (const v1::Envelope& envelope : {SomeDone(), SomeHello(), SomeDispatch(), SomeProgress(), SomeShare(), SomeSubmit(), SomeJobStatus(), heartbeat}) {
     const EnvelopeFrames frames = EncodeEnvelope(envelope);
-    EXPECT_EQ(frames.header, std::string("TREM\x01\0\0\0", 8));
+    EXPECT_EQ(frames.header, std::string("TREM\x02\0\0\0", 8));
     const auto decoded = DecodeEnvelope(frames.header, frames.body);
     ASSERT_TRUE(decoded.ok()) << decoded.status().message();
     EXPECT_TRUE(google::protobuf::util::MessageDifferencer::Equals(envelope, *decoded));
   }
+}
+
+// The third frame belongs to chunks, to all of them, and never exceeds what was announced.
+TEST(Envelope, KnowsWhichBytesMayTravelBesideIt) {
+  v1::Envelope chunk, put, heartbeat;
+  chunk.mutable_chunk()->set_sha256(std::string(64, 'a'));
+  put.mutable_put_chunk()->set_sha256(std::string(64, 'a'));
+  put.mutable_put_chunk()->set_bytes(1000);
+  put.mutable_put_chunk()->set_offset(400);
+  heartbeat.mutable_heartbeat();
+  constexpr std::size_t kMost = std::size_t{4} << 20;
+  EXPECT_TRUE(ValidatePayload(heartbeat, std::nullopt).ok());
+  EXPECT_THAT(ValidatePayload(heartbeat, 0).message(), HasSubstr("a frame too many"));
+  EXPECT_TRUE(ValidatePayload(chunk, kMost).ok());
+  EXPECT_THAT(ValidatePayload(chunk, kMost + 1).message(), HasSubstr("at most 4194304"));
+  EXPECT_THAT(ValidatePayload(chunk, std::nullopt).message(), HasSubstr("without the frame of its bytes"));
+  EXPECT_TRUE(ValidatePayload(put, 0).ok());
+  EXPECT_TRUE(ValidatePayload(put, 600).ok());
+  EXPECT_THAT(ValidatePayload(put, 601).message(), HasSubstr("within the artefact's 1000 bytes"));
+  put.mutable_put_chunk()->set_offset(1001);
+  EXPECT_FALSE(ValidateEnvelope(put).ok());
 }
 
 TEST(Envelope, RefusesAnotherProtocolVersionInWords) {
@@ -126,16 +147,16 @@ TEST(Envelope, RefusesAnotherProtocolVersionInWords) {
   frames.header[4] = 2;
   frames.header[5] = 1;
   EXPECT_EQ(DecodeError(frames),
-            "invalid input: the peer speaks protocol version 258, this program version 1; install the same release of trem on both sides");
+            "invalid input: the peer speaks protocol version 258, this program version 2; install the same release of trem on both sides");
 }
 
 TEST(Envelope, RefusesHeadersThatAreNotItsOwn) {
   const std::string body = EncodeEnvelope(SomeDone()).body;
   for (const std::string& header :
-       {std::string(), std::string("TREM"), std::string("TREX\x01\0\0\0", 8), std::string("TREM\x01\0\0\0\0", 9)}) {
+       {std::string(), std::string("TREM"), std::string("TREX\x02\0\0\0", 8), std::string("TREM\x02\0\0\0\0", 9)}) {
     EXPECT_THAT(DecodeError({header, body}), HasSubstr("header is not trem's"));
   }
-  EXPECT_THAT(DecodeError({std::string("TREM\x01\0\x04\0", 8), body}), HasSubstr("unknown flags 0x4"));
+  EXPECT_THAT(DecodeError({std::string("TREM\x02\0\x04\0", 8), body}), HasSubstr("unknown flags 0x4"));
 }
 
 TEST(Envelope, RefusesSizeAndDepthBeforeParsing) {

@@ -293,7 +293,7 @@ TEST(WorkerLoop, EndsInWordsWhenTheCoordinatorSpeaksAnotherProtocolVersion) {
   router.send(zmq::buffer(std::string("whatever")), zmq::send_flags::none);
   const Status status = harness.Join();
   EXPECT_EQ(status.code(), StatusCode::kInvalidInput);
-  EXPECT_THAT(status.message(), HasSubstr("the peer speaks protocol version 9, this program version 1"));
+  EXPECT_THAT(status.message(), HasSubstr("the peer speaks protocol version 9, this program version 2"));
 }
 
 TEST(WorkerLoop, GivesUpWhenNoCoordinatorAnswers) {
