@@ -125,6 +125,7 @@ void AutomaticRegularisation::Trial::Run(const SceneBuffer& buffer, const Roi& i
   Crop(buffer.weight, crop, &tile.weight);
   Crop(buffer.weighted, crop, &tile.weighted);
   Crop(buffer.majoriser, crop, &tile.majoriser);
+  tile.counted = buffer.counted;
   Crop(buffer.prediction, crop, &tile.prediction);
   update.set_prior(prior);
   update.Restart();

@@ -71,16 +71,13 @@ class Filler {
     y_max_ = frame.pixels.height() - 2.001;
   }
 
-  // Columns [begin, end) of row y of the buffer.
+  // Columns [begin, end) of row y of the buffer; of those that are known to be measured, none is looked at.
   void FillRow(int y, int begin, int end) {
-    const float* filled = buffer_.filled.row(y);
-    for (int x = begin; x < end;) {
-      const int first = x + FindUnlike(filled + x, SceneBuffer::kMeasured, end - x);
-      x = std::min(first + kGroup, end);
-      int last = x;
-      while (last > first && filled[last - 1] == SceneBuffer::kMeasured) --last;
-      if (first < last && !Continued(filled, first, last, y)) FillGroup(first, last, y);
-    }
+    SceneBuffer::Run* const known = &buffer_.measured[static_cast<std::size_t>(y)];
+    const SceneBuffer::Run run{std::clamp(known->begin, begin, end), std::clamp(known->end, begin, end)};
+    if (run.begin >= run.end) return FillCells(y, begin, end, known);
+    FillCells(y, begin, run.begin, known);
+    FillCells(y, run.end, end, known);
   }
 
   std::vector<Roi> changed() const { return changed_.rois(); }
@@ -95,6 +92,28 @@ class Filler {
 
     bool inside() const { return std::abs(beyond_u) <= kReach && std::abs(beyond_v) <= kReach; }
   };
+
+  // Adds cells [begin, end), which are measured, to a row's run: as they continue it, or in its stead when they are more.
+  static void Extend(int begin, int end, SceneBuffer::Run* run) {
+    if (begin >= end) return;
+    if (run->begin < run->end && begin <= run->end && end >= run->begin) {
+      *run = {std::min(begin, run->begin), std::max(end, run->end)};
+    } else if (end - begin > run->end - run->begin) {
+      *run = {begin, end};
+    }
+  }
+
+  void FillCells(int y, int begin, int end, SceneBuffer::Run* known) {
+    const float* filled = buffer_.filled.row(y);
+    for (int x = begin; x < end;) {
+      const int first = x + FindUnlike(filled + x, SceneBuffer::kMeasured, end - x);
+      Extend(x, first, known);
+      x = std::min(first + kGroup, end);
+      int last = x;
+      while (last > first && filled[last - 1] == SceneBuffer::kMeasured) --last;
+      if (first < last && !Continued(filled, first, last, y)) FillGroup(first, last, y);
+    }
+  }
 
   Place PlaceOf(int x, int y) const {
     const Eigen::Vector2d sensor = sensor_from_scene_ * Eigen::Vector2d(x + buffer_.extent.x0, y + buffer_.extent.y0);

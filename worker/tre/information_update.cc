@@ -32,6 +32,9 @@ constexpr int kSplatRows = 32;
 // Rows of which the columns are filtered at a time.
 constexpr int kSeenBlock = 16;
 
+// Cells that are counted beyond a region, for what it will have moved before it is counted again.
+constexpr int kCountBeyond = 2;
+
 // Iterations that one sweep over a tile carries out.
 constexpr std::size_t kStepsPerSweep = 4;
 // Tiles keep a sweep's window of rows within the last-level cache. Up to this many columns a region is one tile, which is faster than
@@ -126,6 +129,8 @@ void InformationUpdate::AddFrame(const Observation& observation, const View& vie
   const SplatModel model{static_cast<float>(view.gain), static_cast<float>(view.offset),
                          static_cast<float>(options_.huber_sigmas * observation.noise_sigma)};
   const SplatPlanes planes{&buffer->prediction, &buffer->seen, &buffer->weight, &buffer->weighted};
+  ++buffer->counted.frames;
+  buffer->counted.slack += bound_.Of(observation, view, buffer->extent);
   // Each band of the scene's rows takes its samples from all of the frame, in the frame's order: no two bands write the same cell.
   ForEachIndex(options_.threads, BandCount(whole.y0, whole.y1, kSplatRows), [&](int index, int) {
     const Roi band = Band(whole, index, kSplatRows);
@@ -163,8 +168,17 @@ void InformationUpdate::FitScratch() {
   while (scratch_.size() < threads) scratch_.push_back({Blur(blur_.psf()), {}, {}});
 }
 
+bool InformationUpdate::RefreshSeen(const Roi& region, int ratio, int every, SceneBuffer* buffer) {
+  const SceneBuffer::Count& counted = buffer->counted;
+  const bool known = blur_.psf().negative_mass == 0.0 && std::isfinite(counted.slack);
+  if (known && counted.frames < every && counted.region.Contains(Intersect(region, buffer->extent))) return false;
+  UpdateSeen(every > 1 ? Grown(region, kCountBeyond) : region, ratio, buffer);
+  return true;
+}
+
 void InformationUpdate::UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer) {
   const Roi inner = buffer->InBuffer(region);
+  buffer->counted = {Intersect(region, buffer->extent)};
   if (inner.empty()) return;
   // Tents one sensor pixel wide to either side: the samples of one frame add up to 1 everywhere inside its ROI.
   std::vector<float> tent_taps;
@@ -268,7 +282,7 @@ void InformationUpdate::IterateFused(const Roi& inner, int iterations, float lam
   StepWeights weights;
   weights.lambda = lambda;
   weights.limit = options_.prior.kind == StructurePriorKind::kHuberTv ? options_.prior.delta : std::numeric_limits<float>::max();
-  weights.damping = lambda * StructurePrior::kCurvatureMax + kCurvatureMin;
+  weights.damping = lambda * StructurePrior::kCurvatureMax + buffer->counted.slack + kCurvatureMin;
   const std::vector<Roi> tiles = Tiles(inner, options_.threads, static_cast<double>(buffer->extent.area()));
   const bool in_place = tiles.size() == 1;
   if (!in_place) {
@@ -309,7 +323,7 @@ void InformationUpdate::IterateInPasses(const Roi& inner, int iterations, float 
   FitSize(buffer->scene, &gradient_);
   // The gradient in the region reads residuals a radius beyond it; there the scene stays unmoved.
   const Roi context = Intersect(Grown(inner, blur_.psf().radius()), {0, 0, buffer->scene.width(), buffer->scene.height()});
-  const float curvature = lambda * options_.prior.curvature_max();
+  const float curvature = lambda * options_.prior.curvature_max() + buffer->counted.slack;
   for (int iteration = 0; iteration < iterations; ++iteration) {
     const float momentum = NextMomentum();
     blur_.Apply(buffer->scene, context, &residual_);

@@ -5,6 +5,7 @@
 #include "worker/registration/target.h"
 #include "worker/registration/view.h"
 #include "worker/sensor/blur.h"
+#include "worker/tre/curvature_bound.h"
 #include "worker/tre/scene_buffer.h"
 #include "worker/tre/structure_prior.h"
 #include "worker/tre/update_sweep.h"
@@ -34,13 +35,16 @@ struct InformationOptions {
 // badly seen cells converge alike. Source: Erdogan & Fessler, Phys. Med. Biol. 44, 1999 (SQS); Nesterov 1983 (momentum).
 class InformationUpdate {
  public:
-  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), options_(options) {}
+  InformationUpdate(Blur blur, const InformationOptions& options) : blur_(std::move(blur)), bound_(blur_.psf()), options_(options) {}
 
   // Splats every pixel of `observation` to its nearest cell of `buffer`. `lambda`-independent. Pixels that are NaN or fall outside the
   // buffer are left out. `region` (scene plane) is where forgetting applies: the cells that this frame sees.
   void AddFrame(const Observation& observation, const View& view, const Roi& region, SceneBuffer* buffer) const;
   // Recomputes buffer->majoriser and buffer->seen on `region` (scene plane).
   void UpdateSeen(const Roi& region, int ratio, SceneBuffer* buffer);
+  // As UpdateSeen, but only when a cell of `region` has no count, or `every` frames have been added since, or it is not known how much they
+  // may have added to the majoriser. Otherwise the steps take a bound of that for it (SceneBuffer::Count::slack). Whether it counted.
+  bool RefreshSeen(const Roi& region, int ratio, int every, SceneBuffer* buffer);
   // Runs `iterations` steps on `region` (scene plane). Needs UpdateSeen after the last AddFrame, and buffer->prediction to be B of the
   // scene on the region and the PSF's radius around it, as which it leaves it: as long as what else changes the scene predicts what it has
   // changed, with the radius around it, that is so everywhere.
@@ -78,6 +82,7 @@ class InformationUpdate {
   void IterateInPasses(const Roi& inner, int iterations, float lambda, SceneBuffer* buffer);
 
   Blur blur_;
+  CurvatureBound bound_;
   InformationOptions options_;
   int steps_ = 0;
   std::vector<UpdateSweep> sweeps_;  // One per thread.

@@ -8,6 +8,16 @@ namespace trem {
 SceneBuffer::SceneBuffer(const Roi& extent_in_scene) : extent(extent_in_scene) {
   const Image<float> blank(extent.width(), extent.height());
   scene = previous = weight = weighted = prediction = filled = majoriser = seen = blank;
+  measured.resize(static_cast<std::size_t>(extent.height()));
+}
+
+void SceneBuffer::Forget(const Roi& cells) {
+  for (int y = cells.y0; y < cells.y1; ++y) {
+    for (Image<float>* plane : {&weight, &weighted, &seen}) std::fill(plane->row(y) + cells.x0, plane->row(y) + cells.x1, 0.0F);
+    std::fill(filled.row(y) + cells.x0, filled.row(y) + cells.x1, kNotFilled);
+    measured[static_cast<std::size_t>(y)] = {};
+  }
+  counted.region = {};
 }
 
 void SceneBuffer::MoveTo(const Roi& new_extent) {
@@ -23,6 +33,9 @@ void SceneBuffer::MoveTo(const Roi& new_extent) {
     *plane = std::move(moved);
   }
   extent = new_extent;
+  // What lies beyond the border is reflected in, and has changed.
+  counted.region = {};
+  measured.assign(static_cast<std::size_t>(extent.height()), {});
 }
 
 Roi SceneBuffer::InBuffer(const Roi& region) const {

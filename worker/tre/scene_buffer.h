@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <vector>
 
 #include "mosaic/base/image.h"
 #include "mosaic/geometry/roi.h"
@@ -23,7 +24,24 @@ struct SceneBuffer {
   static constexpr float kContinued = 1.0F;  // A frame's border value, continued beyond its ROI.
   static constexpr float kMeasured = 2.0F;   // A frame's own value there.
 
+  // How majoriser and seen stand to W (see InformationUpdate::UpdateSeen).
+  struct Count {
+    Roi region;          // Of the scene plane: where they have been made. Empty: nowhere, they have to be made anew.
+    int frames = 0;      // That have been added since.
+    float slack = 0.0F;  // At least what these have added to the majoriser of any cell.
+  };
+  Count counted;
+
+  // Of a row of `filled`: cells [begin, end) are known to be measured.
+  struct Run {
+    int begin = 0;
+    int end = 0;
+  };
+  std::vector<Run> measured;  // One a row.
+
   explicit SceneBuffer(const Roi& extent_in_scene);
+  // Cells of the buffer lose all that frames have measured there; the scene keeps what it shows until a frame fills it anew.
+  void Forget(const Roi& cells);
   // Moves the extent by whole cells (no resampling); cells that come in are zero with no weight, cells that leave are gone.
   void MoveTo(const Roi& new_extent);
   // `region` of the scene plane in buffer coordinates, clipped to the buffer.

@@ -38,6 +38,9 @@ constexpr double kForgettingMin = 0.95;
 // A ROI that dwells forgets so little a frame that it is left to add up to this.
 constexpr double kForgettingStep = 0.005;
 constexpr double kProgressRate = 0.1;
+// Cells are counted anew when this part of the frames have been added since, or so many.
+constexpr int kCountsPart = 3;
+constexpr int kCountEveryMax = 8;
 // POINTWISE: steps of the other schemes that one of its sweeps is worth, about.
 constexpr int kStepsPerSweep = 4;
 // A scene that is iterated to convergence wants more weight than one a few steps from its start: log of the factor.
@@ -230,13 +233,7 @@ const Image<float>* Segment::MaskMovers(const FrameInput& frame, double noise_si
     const int ratio = options_.ratio;
     const Roi ground{block.x * ratio, block.y * ratio, (block.x + 1) * ratio, (block.y + 1) * ratio};
     if (kept_) kept_->Forget(ground);
-    const Roi cells = buffer_.InBuffer(ground);
-    for (int y = cells.y0; y < cells.y1; ++y) {
-      for (int x = cells.x0; x < cells.x1; ++x) {
-        buffer_.weight.at(x, y) = buffer_.weighted.at(x, y) = buffer_.seen.at(x, y) = 0.0F;
-        buffer_.filled.at(x, y) = SceneBuffer::kNotFilled;
-      }
-    }
+    buffer_.Forget(buffer_.InBuffer(ground));
   }
   if (movers_.masked_count() == 0) return own;
   masked_ += movers_.masked_count();
@@ -298,10 +295,13 @@ void Segment::Update(const FrameInput& frame, const Observation& observation, co
     kept_->Add(std::move(kept), region, Forgetting(), buffer_);
   }
   if (scheme_ != nullptr) scheme_->AddFrame(frame.frame_index, observation, view);
-  update_.UpdateSeen(region, options_.ratio, &buffer_);
-  const StructureWeight weight = regularisation_.Weight(region, buffer_, observation.noise_sigma);
-  if (frame_count_ > 0) IterateNewGround(region, filled, weight);
-  Iterate(region, iterations, weight);
+  // A settled scene that is dwelt on changes little with a frame: then its counts and the weight are good for some.
+  const int every = std::clamp(frame_count_ / kCountsPart, 1, kCountEveryMax);
+  if (update_.RefreshSeen(region, options_.ratio, every, &buffer_)) {
+    weight_ = regularisation_.Weight(region, buffer_, observation.noise_sigma);
+  }
+  if (frame_count_ > 0) IterateNewGround(region, filled, weight_);
+  Iterate(region, iterations, weight_);
   // The first frame is fitted by a scene of its own.
   if (options_.uncertainty && frame_count_ > 0) {
     residuals_.Add(observation, view, InformationOptions{}.huber_sigmas, buffer_);
@@ -336,7 +336,7 @@ Registration Segment::Begin(const FrameInput& frame, double noise_sigma) {
   return registration;
 }
 
-JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) const {
+JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma) {
   Expectation expectation;
   const bool dynamics = options_.dynamics_sigma_px > 0.0;
   expectation.prior = dynamics ? PredictByDynamics() : Predict(frame);
@@ -358,7 +358,7 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   return RegisterFrame(frame, noise_sigma, expectation);
 }
 
-JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation) const {
+JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation) {
   RegistrationRequest request;
   request.prior = expectation.prior;
   request.candidates = expectation.candidates;
@@ -374,13 +374,9 @@ JudgedRegistration Segment::RegisterFrame(const FrameInput& frame, double noise_
   Image<float> weights = frame.weights;
   if (movers_.Hide(request.prior.mean, RoiOf(frame), &weights)) observation.weights = &weights;
   JudgedRegistration judged = RegisterOverJump(observation, reference, request);
-  judged.registration.corner_covariance += SceneCovariance(frame, judged.registration, noise_sigma);
+  placed_ = PlaceOf(frame, judged.registration, noise_sigma);
+  judged.registration.corner_covariance += placed_->covariance;
   return judged;
-}
-
-CornerMatrix Segment::SceneCovariance(const FrameInput& frame, const Registration& registration, double noise_sigma) const {
-  const Observation observation = ObservationOf(frame, RoiOf(frame), std::max(noise_sigma, registration.residual_rms));
-  return place_.CovarianceOf(place_.Measure(observation, ReferenceNow(SeenMin()), registration.view), observation, registration.view);
 }
 
 Reference Segment::ReferenceNow(float seen_min) const {
@@ -430,8 +426,8 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   }
   const PlanarMap motion = view_.scene_from_sensor.Inverse() * registration.view.scene_from_sensor;
   const Observation whole = ObservationOf(frame, RoiOf(frame), std::max(noise_sigma, registration.residual_rms));
-  const PlaceField::Texture before = place_.Measure(whole, ReferenceNow(SeenMin()), registration.view);
-  const CornerMatrix own = registration.corner_covariance - place_.CovarianceOf(before, whole, registration.view);
+  const Placed placed = TakePlaced(frame, registration, noise_sigma);
+  const CornerMatrix own = registration.corner_covariance - placed.covariance;
   const double frames = 1.0 + skipped_;
   const ViewModel model = options_.view_model;
   previous_from_current_ = Displace(PlanarMap{}, roi_, CornerVector(CornerDisplacement(PlanarMap{}, motion, roi_, model) / frames));
@@ -447,7 +443,7 @@ Status Segment::AddFrame(const FrameInput& frame, const Registration& registrati
   const Image<float>* const weights = MaskMovers(frame, std::max(noise_sigma, registration.residual_sigma));
   const Observation observation{&frame.pixels, RoiOf(frame), noise_sigma, weights};
   Update(frame, observation, view_, options_.iterations > 0 ? options_.iterations : kFrameIterations);
-  place_.Add(before, place_.Measure(whole, ReferenceNow(SeenMin()), view_), whole, view_, Forgetting());
+  place_.Add(placed.texture, place_.Measure(whole, ReferenceNow(SeenMin()), view_), whole, view_, Forgetting());
   KeepForRevisit(frame, weights, registration, noise_sigma);
   return {};
 }

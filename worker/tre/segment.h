@@ -54,8 +54,8 @@ class Segment {
   // The first frame: fills the scene with its bicubic enlargement and improves it. Its view is the gauge: gain 1, offset 0.
   Registration Begin(const FrameInput& frame, double noise_sigma);
   // Registers a frame to the scene's prediction; the scene is not changed.
-  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma) const;
-  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation) const;
+  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma);
+  JudgedRegistration RegisterFrame(const FrameInput& frame, double noise_sigma, const Expectation& expectation);
   // Splats a registered frame and improves the scene; emits a snapshot first when the ROI has moved off the buffer.
   Status AddFrame(const FrameInput& frame, const Registration& registration, double noise_sigma, const Emit& emit);
   // A frame that was not registered: its motion still counts for where the next one is expected.
@@ -95,8 +95,17 @@ class Segment {
   // How far a corner may end from where it was expected [sensor px].
   double MotionTolerancePx(const FrameInput& frame, const PlanarMap& expected) const;
   Reference ReferenceNow(float seen_min) const;
-  // What the scene's own error adds to the covariance of a view registered to it.
-  CornerMatrix SceneCovariance(const FrameInput& frame, const Registration& registration, double noise_sigma) const;
+  // What the scene beneath a registered frame shows, and what its own error adds to the covariance of the frame's view.
+  struct Placed {
+    int frame_index = 0;
+    double noise_sigma = 0.0;
+    View view;
+    PlaceField::Texture texture;
+    CornerMatrix covariance;
+  };
+  Placed PlaceOf(const FrameInput& frame, const Registration& registration, double noise_sigma) const;
+  // The same, from when the frame was registered if it was the last one.
+  Placed TakePlaced(const FrameInput& frame, const Registration& registration, double noise_sigma);
   // Once a few frames have resolved what one frame aliases, the first ones are registered again, the first one included; all are moved so
   // that the first one's view is the plane's again, and the scene is accumulated afresh. Without, the plane would keep what the second
   // and third frame's registration to a single frame's scene was off by.
@@ -137,6 +146,7 @@ class Segment {
   AutomaticRegularisation regularisation_;
   std::unique_ptr<UpdateScheme> scheme_;  // Null: the information update.
   std::optional<KeptFrames> kept_;        // The information update's.
+  StructureWeight weight_;                // As of the last count of cells, without the user's factor.
   StructureWeight emitted_weight_;        // That the last snapshot was made with, without the user's factor.
   double emitted_log_factor_;             // On the present automatic weight, found by frames held out.
   SceneBuffer buffer_;
@@ -148,6 +158,7 @@ class Segment {
   bool lost_motion_known_ = true;                           // Whether all of that was measured.
   CornerMatrix covariance_;                                 // Of view_, without the scene's, 6 x 6 or 8 x 8.
   PlaceField place_;                                        // Of the scene's place on its plane: S above.
+  std::optional<Placed> placed_;                            // Of the frame that was registered last, until it is added.
   CornerMatrix velocity_covariance_;                        // Of previous_from_current_, as a corner displacement a frame.
   Eigen::Vector2d progress_px_ = Eigen::Vector2d::Zero();   // Slow mean of the ROI's motion over the ground, sensor px a frame.
   std::vector<std::pair<FrameInput, Registration>> early_;  // Until the revisit.

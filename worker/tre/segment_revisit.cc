@@ -19,7 +19,28 @@ Observation ObservationOfWhole(const FrameInput& frame, const Roi& roi, double n
   return {&frame.pixels, roi, noise_sigma, frame.weights.empty() ? nullptr : &frame.weights};
 }
 
+bool SameView(const View& a, const View& b) {
+  const PlanarMap& p = a.scene_from_sensor;
+  const PlanarMap& q = b.scene_from_sensor;
+  return p.linear == q.linear && p.offset == q.offset && p.perspective == q.perspective && a.gain == b.gain && a.offset == b.offset;
+}
+
 }  // namespace
+
+Segment::Placed Segment::PlaceOf(const FrameInput& frame, const Registration& registration, double noise_sigma) const {
+  const Observation observation = ObservationOfWhole(frame, RoiOf(frame), std::max(noise_sigma, registration.residual_rms));
+  Placed placed{frame.frame_index, observation.noise_sigma, registration.view, {}, {}};
+  placed.texture = place_.Measure(observation, ReferenceNow(SeenMin()), registration.view);
+  placed.covariance = place_.CovarianceOf(placed.texture, observation, registration.view);
+  return placed;
+}
+
+Segment::Placed Segment::TakePlaced(const FrameInput& frame, const Registration& registration, double noise_sigma) {
+  const std::optional<Placed> placed = std::exchange(placed_, std::nullopt);
+  const bool is_it = placed && placed->frame_index == frame.frame_index && SameView(placed->view, registration.view) &&
+                     placed->noise_sigma == std::max(noise_sigma, registration.residual_rms);
+  return is_it ? *placed : PlaceOf(frame, registration, noise_sigma);
+}
 
 void Segment::KeepForRevisit(const FrameInput& frame, const Image<float>* weights, const Registration& registration, double noise_sigma) {
   // Ground that has been made anew is not to be made from what it was.
@@ -64,7 +85,7 @@ void Segment::Revisit(double noise_sigma) {
       found[k] = early[k].second;
     } else {
       covariance_ = found[k].corner_covariance;
-      found[k].corner_covariance += SceneCovariance(early[k].first, found[k], noise_sigma);
+      found[k].corner_covariance += PlaceOf(early[k].first, found[k], noise_sigma).covariance;
     }
     if (kept_) kept_->Revise(early[k].first.frame_index, found[k].view);
     const PlaceField::Texture texture = place_.Measure(observation, ReferenceNow(SeenMin()), view);

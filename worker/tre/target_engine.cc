@@ -273,7 +273,7 @@ class TargetRun {
     return fmt::format("the target has left the field of view over its {} edge ({:.0f} % of it inside)", edge, 100.0 * inside);
   }
 
-  Attempt Try(FrameInput input, const View& view, double place_sigma_px, const Strictness& strictness) const {
+  Attempt Try(FrameInput input, const View& view, double place_sigma_px, const Strictness& strictness) {
     Segment::Expectation expectation;
     expectation.prior.mean = view;
     expectation.prior.information = PriorInformation(options_.view_model, std::max(place_sigma_px, 0.5), kShapeSigmaPx * std::sqrt(1.0 + lost_));
