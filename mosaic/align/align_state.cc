@@ -250,6 +250,7 @@ AlignState InitialState(const AlignGraph& graph) {
   state.frames.resize(graph.frames.size());
   state.scenes.resize(graph.scenes.size());
   state.tie_unusable.assign(graph.ties.size(), false);
+  state.tie_relief_px.assign(graph.ties.size(), 0.0);
   PlaceAnchored(graph, state);
 
   int piece_count = 0;

@@ -70,6 +70,8 @@ struct AlignState {
   Lens lens;
   // Ties that were left out because the ROI reaches the horizon in that frame.
   std::vector<bool> tie_unusable;
+  // What relief adds to each tie's floor (Tie::floor_px), sensor px; see relief.h.
+  std::vector<double> tie_relief_px;
 };
 
 // Initial values: frames with telemetry from it, everything else breadth first over the graph of ties; in each connected component

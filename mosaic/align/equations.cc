@@ -261,6 +261,8 @@ void Equations::AddSharedPriors() {
   problem_->AddResidualBlock(new ceres::NormalPrior(lens, Eigen::VectorXd::Zero(kLensParameters)), nullptr, lens_.data());
 }
 
+double Equations::FloorPx(std::size_t tie) const { return std::hypot(graph_.ties[tie].floor_px, state_.tie_relief_px[tie]); }
+
 void Equations::AddTies() {
   tie_blocks_.assign(graph_.ties.size(), nullptr);
   for (std::size_t t = 0; t < graph_.ties.size(); ++t) {
@@ -272,7 +274,7 @@ void Equations::AddTies() {
     const std::array<Eigen::Vector2d, 4> u = TiePoints(graph_.SegmentOf(tie).roi_in_sensor);
     std::array<Eigen::Vector2d, 4> xi;
     for (std::size_t k = 0; k < 4; ++k) xi[k] = UnitFromShown(tie.scene, view.scene_from_sensor * u[k]);
-    const Whitener8 whitener = TieWhitener(view.corner_covariance_px2, tie.floor_px);
+    const Whitener8 whitener = TieWhitener(view.corner_covariance_px2, FloorPx(t));
     ceres::CostFunction* cost = nullptr;
     if (state_.frames[f].camera) {
       cost = new ceres::AutoDiffCostFunction<TieResidual<CameraProjection>, 8, kCameraParameters, kMapParameters, kLensParameters>(

@@ -46,6 +46,8 @@ class Equations {
   FreeProjection FreeProjectionOf(int frame) const;
   // A cell of a scene without what relief shifts it by, on the unit square.
   Eigen::Vector2d UnitFromShown(int scene, const Eigen::Vector2d& shown) const;
+  // Standard deviation of what a tie's view leaves unexplained, sensor px.
+  double FloorPx(std::size_t tie) const;
   void AddFrames();
   void AddScenes();
   void AddAnchorPriors();

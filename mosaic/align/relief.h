@@ -18,6 +18,9 @@ namespace trem::align {
 //   shift(c) = mean over t of  v_t(camera_t(x, z(x))) - c
 //
 // which has, besides, what affine views leave of the perspective of a slope.
+// kRelief finds AlignState::tie_relief_px besides. An affine view is drawn to what its texture shows of the hills that it cannot follow: by
+// up to r, the rms of what is left of the frame's shifts less the scene's beside an affine map. The texture is the scene's, so its n ties
+// err alike, and n of them say no more than one: r sqrt(n) on each.
 enum class Shifts { kRelief, kPlaces };
 void UpdateShifts(const AlignGraph& graph, Shifts kind, AlignState& state);
 

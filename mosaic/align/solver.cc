@@ -45,7 +45,7 @@ void Equations::EvaluateTies(double factor, SolveReport& report) {
     double cost = 0.0;
     if (!problem_->EvaluateResidualBlock(tie_blocks_[t], false, &cost, whitened.data(), nullptr)) continue;
     report.tie_norm2[t] = whitened.squaredNorm() / factor;
-    const Whitener8 whitener = TieWhitener(graph_.ViewOf(graph_.ties[t]).corner_covariance_px2, graph_.ties[t].floor_px);
+    const Whitener8 whitener = TieWhitener(graph_.ViewOf(graph_.ties[t]).corner_covariance_px2, FloorPx(t));
     const Eigen::Matrix<double, 8, 1> error_px = whitener.triangularView<Eigen::Lower>().solve(whitened);
     report.tie_error2_px2[t] = error_px.squaredNorm() / kTieDegrees;
     for (int k = 0; k < 8; ++k) squares.push_back(error_px(k) * error_px(k));

@@ -1,6 +1,6 @@
-// Goal: what is known of the camera and of the ground is used: control points pin the mosaic down and are checked, wrong ones are named, slopes
-// are met where they are, and focal length and distortion of the lens are found. Method: chains simulated from true cameras (synthetic.h),
-// recovered maps against the truth.
+// Goal: what is known of the camera and of the ground is used: control points pin the mosaic down and are checked, wrong ones are named,
+// slopes are met where they are, and focal length and distortion of the lens are found. Method: chains simulated from true cameras
+// (synthetic.h), recovered maps against the truth.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -9,6 +9,7 @@
 #include <iostream>
 
 #include "mosaic/align/align.h"
+#include "mosaic/align/relief.h"
 #include "tests/unit/mosaic/align/synthetic.h"
 
 namespace trem::align {
@@ -144,6 +145,26 @@ TEST(Ground, HillsAreMetWhereTheyAre) {
   EXPECT_LT(with_shifts, 0.6);
   EXPECT_GT(without, 3.0 * with_shifts) << "negative control: homographies alone";
   std::cout << "rms error over hills " << with_shifts << " px, by homographies alone " << without << " px\n";
+}
+
+// What affine views can't follow makes ties less sure, in proportion to the hills; on a slope they follow everything.
+TEST(Ground, TiesAreLessSureTheHigherTheHills) {
+  const auto relief_px = [](double hills_m, double slope) {
+    SyntheticOptions options;
+    options.hills_m = hills_m;
+    options.slope = slope;
+    const AlignGraph graph = BuildAlignGraph(MakeSortie(options).input, {});
+    AlignState state = InitialState(graph);
+    UpdateShifts(graph, Shifts::kRelief, state);
+    double sum = 0.0;
+    for (const double px : state.tie_relief_px) sum += px / static_cast<double>(state.tie_relief_px.size());
+    return sum;
+  };
+  EXPECT_EQ(relief_px(0.0, 0.0), 0.0);
+  EXPECT_LT(relief_px(0.0, 0.1), 0.01);
+  const double low = relief_px(1.0, 0.0);
+  EXPECT_GT(low, 0.02);
+  EXPECT_NEAR(relief_px(2.0, 0.0), 2.0 * low, 0.2 * low);
 }
 
 TEST(Lens, AWrongFocalLengthIsFoundInAWideObliqueView) {
