@@ -84,9 +84,9 @@ Equations::Equations(const AlignGraph& graph, std::span<const ContentTie> conten
 
 void Equations::HoldWhatCannotBeSeen(bool has_content_ties) {
   const bool controlled = std::any_of(control_blocks_.begin(), control_blocks_.end(), [](const auto* block) { return block != nullptr; });
-  // A boresight error shows between legs of different headings that meet, and at control points. On one leg it shows only in the faint perspective of small fields
-  // of view and in the bias of feature positions, where a few thousandths of a pixel pass for some hundredths of a degree: there
-  // telemetry is believed as it is.
+  // A boresight error shows between legs of different headings that meet, and at control points. On one leg it shows only in the faint
+  // perspective of small fields of view and in the bias of feature positions, where a few thousandths of a pixel pass for some hundredths
+  // of a degree: there telemetry is believed as it is.
   const Boresight boresight = graph_.input.boresight;
   for (auto& [recording, shared] : shared_) {
     const bool seen = controlled || (has_content_ties && HeadingsDiffer(recording));
@@ -199,8 +199,9 @@ void Equations::AddScenes() {
     world_from_unit_[s] /= world_from_unit_[s](2, 2);
     double* const parameters = scene_parameters_[s].data();
     problem_->AddParameterBlock(parameters, kMapParameters);
-    // One half size of freedom: negligible beside any tie; keeps a scene that a single weak view holds from being singular. A thousand of them
-    // for the place, which all scenes share with telemetry's error: priors of thousands of scenes add up there, and the stated standard error sank.
+    // One half size of freedom: negligible beside any tie; keeps a scene that a single weak view holds from being singular. A thousand of
+    // them for the place, which all scenes share with telemetry's error: priors of thousands of scenes add up there, and the stated
+    // standard error sank.
     Eigen::MatrixXd freedom = Eigen::MatrixXd::Identity(kMapParameters, kMapParameters);
     freedom(2, 2) = freedom(5, 5) = 1e-3;
     problem_->AddResidualBlock(new ceres::NormalPrior(freedom, Eigen::VectorXd::Zero(kMapParameters)), nullptr, parameters);
@@ -265,6 +266,8 @@ double Equations::FloorPx(std::size_t tie) const { return std::hypot(graph_.ties
 
 void Equations::AddTies() {
   tie_blocks_.assign(graph_.ties.size(), nullptr);
+  std::vector<int> ties_of_scene(graph_.scenes.size(), 0);
+  for (const Tie& tie : graph_.ties) ++ties_of_scene[static_cast<std::size_t>(tie.scene)];
   for (std::size_t t = 0; t < graph_.ties.size(); ++t) {
     const Tie& tie = graph_.ties[t];
     const auto f = static_cast<std::size_t>(tie.frame);
@@ -275,10 +278,12 @@ void Equations::AddTies() {
     std::array<Eigen::Vector2d, 4> xi;
     for (std::size_t k = 0; k < 4; ++k) xi[k] = UnitFromShown(tie.scene, view.scene_from_sensor * u[k]);
     const Whitener8 whitener = TieWhitener(view.corner_covariance_px2, FloorPx(t));
+    // The one frame of a scene is the scene, perspective included, which nothing else would hold.
+    const bool affine_part = view.corner_covariance_px2.rows() == 6 && ties_of_scene[s] > 1;
     ceres::CostFunction* cost = nullptr;
     if (state_.frames[f].camera) {
       cost = new ceres::AutoDiffCostFunction<TieResidual<CameraProjection>, 8, kCameraParameters, kMapParameters, kLensParameters>(
-          new TieResidual<CameraProjection>{CameraProjectionOf(tie.frame), world_from_unit_[s], xi, u, whitener, view.corner_covariance_px2.rows() == 6});
+          new TieResidual<CameraProjection>{CameraProjectionOf(tie.frame), world_from_unit_[s], xi, u, whitener, affine_part});
     } else {
       cost = new ceres::AutoDiffCostFunction<TieResidual<FreeProjection>, 8, kMapParameters, kMapParameters, kLensParameters>(
           new TieResidual<FreeProjection>{FreeProjectionOf(tie.frame), world_from_unit_[s], xi, u, whitener});
@@ -324,7 +329,8 @@ void Equations::AddControl() {
     if (frame.camera) {
       // A point that the camera can't see, far off as it may be, must not stop the solve.
       Eigen::Vector2d seen;
-      if (!CameraProjectionOf(static_cast<int>(f)).See<double>(frame_parameters_[f].data(), lens_.data(), control.x_in_world, &seen)) continue;
+      if (!CameraProjectionOf(static_cast<int>(f)).See<double>(frame_parameters_[f].data(), lens_.data(), control.x_in_world, &seen))
+        continue;
       cost = new ceres::AutoDiffCostFunction<ControlResidual<CameraProjection>, 2, kCameraParameters, kLensParameters>(
           new ControlResidual<CameraProjection>{CameraProjectionOf(static_cast<int>(f)), control.x_in_world, control.u, sigma_px});
     } else {

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
+#include <utility>
 
 #include "mosaic/align/align.h"
 #include "mosaic/base/rng.h"
@@ -27,8 +28,8 @@ FeatureSource RenderedFeatures(const SyntheticSortie& sortie, const Texture& tex
   };
 }
 
-// Median displacement between two maps of scene corners after the best similarity, in gauge pixels.
-double ShapeErrorPx(const SyntheticSortie& sortie, const AlignSolution& solution) {
+// Displacements between two maps of scene corners after the best affine map, in gauge pixels, in rising order.
+std::vector<double> ShapeErrorsPx(const SyntheticSortie& sortie, const AlignSolution& solution) {
   std::vector<Eigen::Vector2d> truth, estimate;
   for (const AlignedScene& scene : solution.scenes) {
     for (const Eigen::Vector2d& x : RoiCorners(scene.roi_in_scene)) {
@@ -40,6 +41,11 @@ double ShapeErrorPx(const SyntheticSortie& sortie, const AlignSolution& solution
   std::vector<double> errors;
   for (std::size_t k = 0; k < truth.size(); ++k) errors.push_back((fit * truth[k] - estimate[k]).norm());
   std::sort(errors.begin(), errors.end());
+  return errors;
+}
+
+double ShapeErrorPx(const SyntheticSortie& sortie, const AlignSolution& solution) {
+  const std::vector<double> errors = ShapeErrorsPx(sortie, solution);
   return errors[errors.size() / 2];
 }
 
@@ -123,6 +129,42 @@ TEST(Align, ClosesLoopsBetweenLegsThatDrift) {
   ASSERT_TRUE(open.ok() && closed.ok());
   EXPECT_GT(closed->content_tie_count, 5);
   EXPECT_LT(ShapeErrorPx(sortie, *closed), 0.7 * ShapeErrorPx(sortie, *open));
+}
+
+// A survey of photographs: every scene is of one frame, whose perspective is the scene's. Content that bends otherwise, as treetops do that
+// each photograph sees displaced, must not bend the scene with it.
+TEST(Align, BendsNoSceneOfOneFrameAfterItsContent) {
+  SyntheticOptions options;
+  options.frame_count = 12;
+  SyntheticSortie sortie = MakeSortie(options);
+  const std::vector<Segment> windows = std::exchange(sortie.input.segments, {});
+  for (const Segment& window : windows) {
+    for (std::size_t k = 0; k < window.chain.size(); k += 3) {
+      Segment photograph = window;
+      photograph.segment_id = static_cast<std::uint32_t>(k);
+      photograph.chain = {window.chain[k]};
+      for (Scene& scene : photograph.scenes) {
+        scene.frame_begin = window.chain[k].frame;
+        scene.frame_end = scene.frame_begin + 1;
+      }
+      sortie.input.segments.push_back(photograph);
+    }
+  }
+  const Texture texture(5);
+  const FeatureSource treetops = [&](const AlignGraph& graph, int index) -> Result<SceneFeatures> {
+    TREM_ASSIGN_OR_RETURN(SceneFeatures features, RenderedFeatures(sortie, texture)(graph, index));
+    const Roi& roi = graph.scenes[static_cast<std::size_t>(index)].scene.roi_in_scene;
+    const Eigen::Vector2d half(0.5 * roi.width(), 0.5 * roi.height());
+    for (Eigen::Vector2d& x : features.x_in_scene) {
+      const Eigen::Vector2d xi = (x - Eigen::Vector2d(roi.x0, roi.y0) - half).cwiseQuotient(half);
+      if (index % 5 == 2) x.x() += 6.0 * xi.x() * xi.y();
+    }
+    return features;
+  };
+  const auto misled = Align(sortie.input, {}, treetops, nullptr);
+  ASSERT_TRUE(misled.ok()) << misled.status().ToString();
+  ASSERT_GT(misled->content_tie_count, 0) << "nothing was claimed, so nothing is tested";
+  EXPECT_LT(ShapeErrorsPx(sortie, *misled).back(), 0.15);
 }
 
 }  // namespace
