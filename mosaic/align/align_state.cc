@@ -228,7 +228,8 @@ Homography GroundFromCamera(const Camera& camera, const Lens& lens, const AlignI
       -0.5 * (input.height_px - 1) / focal_px, 0.0, 0.0, 1.0;
   // As geometry's GroundFromSensor, of a rotation matrix instead of angles (which are degenerate straight down).
   const Eigen::Matrix3d direction = camera.world_from_camera * camera_from_sensor;
-  const double height_m = camera.position_m.z() - (input.ground ? 0.5 * (input.ground->lowest_m() + input.ground->highest_m()) : input.ground_z_m);
+  const double height_m =
+      camera.position_m.z() - (input.ground ? 0.5 * (input.ground->lowest_m() + input.ground->highest_m()) : input.ground_z_m);
   Homography ground_from_sensor;
   ground_from_sensor.matrix.row(2) = -direction.row(2);
   ground_from_sensor.matrix.row(0) = height_m * direction.row(0) - camera.position_m.x() * direction.row(2);

@@ -74,7 +74,7 @@ class Equations {
   std::vector<Eigen::Matrix3d> world_from_unit_;
   std::vector<ceres::ResidualBlockId> tie_blocks_;  // nullptr: unused.
   std::vector<ceres::ResidualBlockId> content_blocks_;
-  std::vector<int> content_tie_of_block_;  // Index into the content ties.
+  std::vector<int> content_tie_of_block_;               // Index into the content ties.
   std::vector<ceres::ResidualBlockId> control_blocks_;  // Parallel to AlignInput::control; nullptr: unused.
   std::unique_ptr<ceres::Problem> problem_;
   bool has_lens_ = false;  // Some frame has a camera.

@@ -86,7 +86,8 @@ void Equations::EvaluateControl(SolveReport& report) {
   for (std::size_t c = 0; c < control_blocks_.size(); ++c) {
     Eigen::Vector2d whitened;
     double cost = 0.0;
-    if (control_blocks_[c] == nullptr || !problem_->EvaluateResidualBlock(control_blocks_[c], false, &cost, whitened.data(), nullptr)) continue;
+    if (control_blocks_[c] == nullptr || !problem_->EvaluateResidualBlock(control_blocks_[c], false, &cost, whitened.data(), nullptr))
+      continue;
     report.control_norm2[c] = whitened.squaredNorm();
   }
 }

@@ -115,8 +115,8 @@ std::optional<Affine> InverseOf(const std::optional<Affine>& map) {
   return map->Inverse();
 }
 
-// A detector's pattern stays with the sensor's pixels and what moves is masked beside the ground that it covers: neither can be told apart in a
-// ROI that goes with a target.
+// A detector's pattern stays with the sensor's pixels and what moves is masked beside the ground that it covers: neither can be told apart
+// in a ROI that goes with a target.
 EngineOptions OptionsFor(EngineOptions options) {
   options.detector_bias = Correction::kOff;
   options.mover_mask = Correction::kOff;
@@ -132,7 +132,8 @@ class TargetRun {
         options_(OptionsFor(options)),
         sink_(sink),
         weights_(TargetWeights(request.roi_in_sensor.width(), request.roi_in_sensor.height())),
-        centre_in_scene_(options.ratio * (CentreOf(request.roi_in_sensor) - Eigen::Vector2d(request.roi_in_sensor.x0, request.roi_in_sensor.y0))),
+        centre_in_scene_(options.ratio *
+                         (CentreOf(request.roi_in_sensor) - Eigen::Vector2d(request.roi_in_sensor.x0, request.roi_in_sensor.y0))),
         noise_sigma_(options.noise_sigma),
         segment_(request.roi_in_sensor, psf, options_, 0, Segment::Extent::kFixed) {
     for (int k = request.frame_begin; k < request.frame_end; ++k) result_.frames.push_back({k, FrameReport::Outcome::kSkipped, {}});
@@ -269,14 +270,18 @@ class TargetRun {
     const Eigen::Vector2d past_low(request_.sensor.x0 - roi.x0, request_.sensor.y0 - roi.y0);
     const Eigen::Vector2d past_high(roi.x1 - request_.sensor.x1, roi.y1 - request_.sensor.y1);
     const double furthest = std::max(past_low.maxCoeff(), past_high.maxCoeff());
-    const char* edge = furthest == past_low.x() ? "left" : furthest == past_high.x() ? "right" : furthest == past_low.y() ? "upper" : "lower";
+    const char* edge = furthest == past_low.x()    ? "left"
+                       : furthest == past_high.x() ? "right"
+                       : furthest == past_low.y()  ? "upper"
+                                                   : "lower";
     return fmt::format("the target has left the field of view over its {} edge ({:.0f} % of it inside)", edge, 100.0 * inside);
   }
 
   Attempt Try(FrameInput input, const View& view, double place_sigma_px, const Strictness& strictness) {
     Segment::Expectation expectation;
     expectation.prior.mean = view;
-    expectation.prior.information = PriorInformation(options_.view_model, std::max(place_sigma_px, 0.5), kShapeSigmaPx * std::sqrt(1.0 + lost_));
+    expectation.prior.information =
+        PriorInformation(options_.view_model, std::max(place_sigma_px, 0.5), kShapeSigmaPx * std::sqrt(1.0 + lost_));
     expectation.prior.gain_sigma = 0.1;
     expectation.prior.offset_sigma = 15.0;
     expectation.motion_px_max = std::max(kGateMinPx, kGateSigmas * place_sigma_px);
@@ -304,8 +309,7 @@ class TargetRun {
       return fmt::format("the target has turned or stretched too far from its picture in frame {}", request_.reference);
     }
     const std::optional<Usual> usual = UsualFit();
-    const double correlation_min =
-        std::max(strictness.correlation_min, usual ? usual->correlation - strictness.correlation_drop_max : 0.0);
+    const double correlation_min = std::max(strictness.correlation_min, usual ? usual->correlation - strictness.correlation_drop_max : 0.0);
     const double residual_max = strictness.residual_factor_max * (usual ? usual->residual : 1.5 * noise_sigma_);
     if (r.correlation < correlation_min && !(strictness.noise_excuses && r.residual_rms <= 1.2 * noise_sigma_)) {
       return fmt::format("does not match the target: correlation {:.2f} (at least {:.2f} needed)", r.correlation, correlation_min);
@@ -336,11 +340,13 @@ class TargetRun {
   Status Accept(const Attempt& attempt) {
     const Registration& registration = attempt.judged.registration;
     const int index = attempt.input.frame_index;
-    TREM_RETURN_IF_ERROR(segment_.AddFrame(attempt.input, registration, noise_sigma_, [this](const SceneSnapshot& s) { return sink_(0, s); }));
+    TREM_RETURN_IF_ERROR(
+        segment_.AddFrame(attempt.input, registration, noise_sigma_, [this](const SceneSnapshot& s) { return sink_(0, s); }));
     result_.segments[0].chain.push_back({index, registration, *attempt.input.roi});
     const double off_px = (attempt.position - motion_->position()).norm();
-    Report(index, Outcome::kRegistered,
-           lost_ == 0 ? std::string{} : fmt::format("found again after {} lost frames, {:.1f} px from where it was expected", lost_, off_px));
+    Report(
+        index, Outcome::kRegistered,
+        lost_ == 0 ? std::string{} : fmt::format("found again after {} lost frames, {:.1f} px from where it was expected", lost_, off_px));
     motion_->Measure(attempt.position, std::max(0.1, std::sqrt(registration.corner_covariance.diagonal().maxCoeff())));
     view_ = registration.view;
     position_ = attempt.position;
@@ -411,11 +417,11 @@ class TargetRun {
   EngineResult result_;
   Registration first_;
   std::optional<TargetMotion> motion_;
-  View view_;                                         // Of the last registered frame.
-  Eigen::Vector2d position_;                          // Of the target's centre there.
-  Eigen::Matrix2d turned_;                            // How the ground has turned and scaled since then.
-  std::optional<Eigen::Vector2d> first_velocity_;     // Early in the forward pass: the backward pass starts with its opposite.
-  std::vector<double> residuals_;                     // Of the last accepted registrations.
+  View view_;                                      // Of the last registered frame.
+  Eigen::Vector2d position_;                       // Of the target's centre there.
+  Eigen::Matrix2d turned_;                         // How the ground has turned and scaled since then.
+  std::optional<Eigen::Vector2d> first_velocity_;  // Early in the forward pass: the backward pass starts with its opposite.
+  std::vector<double> residuals_;                  // Of the last accepted registrations.
   std::vector<double> correlations_;
   int lost_ = 0;
   int handled_ = 0;
@@ -423,10 +429,12 @@ class TargetRun {
 
 Status CheckRequest(const TargetRequest& request) {
   if (request.roi_in_sensor.empty() || !request.sensor.Contains(request.roi_in_sensor)) {
-    return InvalidInput("ROI " + ToString(request.roi_in_sensor) + " is not inside the sensor " + ToString(request.sensor) + "; choose one that is");
+    return InvalidInput("ROI " + ToString(request.roi_in_sensor) + " is not inside the sensor " + ToString(request.sensor) +
+                        "; choose one that is");
   }
   if (request.reference < request.frame_begin || request.reference >= request.frame_end) {
-    return InvalidInput(fmt::format("the reference frame {} is not one of the frames {}:{}", request.reference, request.frame_begin, request.frame_end));
+    return InvalidInput(
+        fmt::format("the reference frame {} is not one of the frames {}:{}", request.reference, request.frame_begin, request.frame_end));
   }
   return {};
 }

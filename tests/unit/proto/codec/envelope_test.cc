@@ -112,7 +112,8 @@ std::string DecodeError(const EnvelopeFrames& frames, const EnvelopeLimits& limi
 TEST(Envelope, DecodesWhatItEncoded) {
   v1::Envelope heartbeat;
   heartbeat.mutable_heartbeat();
-  for (const v1::Envelope& envelope : {SomeDone(), SomeHello(), SomeDispatch(), SomeProgress(), SomeShare(), SomeSubmit(), SomeJobStatus(), heartbeat}) {
+  for (const v1::Envelope& envelope :
+       {SomeDone(), SomeHello(), SomeDispatch(), SomeProgress(), SomeShare(), SomeSubmit(), SomeJobStatus(), heartbeat}) {
     const EnvelopeFrames frames = EncodeEnvelope(envelope);
     EXPECT_EQ(frames.header, std::string("TREM\x02\0\0\0", 8));
     const auto decoded = DecodeEnvelope(frames.header, frames.body);
