@@ -139,7 +139,8 @@ void Scheduler::On(const ProgressEvent& event) {
   if (Lease* lease = FindLease(index, event.attempt.number)) {
     if (lease->worker_id.empty()) Adopt(index, event.attempt.number, event.worker_id);
     if (lease->worker_id == event.worker_id) {
-      lease->fraction = std::clamp(event.fraction, 0.0, 1.0);
+      // Parts of a task that run side by side tell how far each of them is; what is done stays done.
+      lease->fraction = std::max(lease->fraction, std::clamp(event.fraction, 0.0, 1.0));
       Renew(index, lease);
       return;
     }

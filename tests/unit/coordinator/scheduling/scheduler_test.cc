@@ -435,6 +435,7 @@ TEST(SchedulerTest, TellsProgressAndTimeLeft) {
   EXPECT_LT(bench.Status("job").eta_s(), 0.0);
   for (std::uint32_t i = 0; i < kFakeTaskCount; ++i) {
     bench.Progress(dispatch, 0.5);
+    bench.Progress(dispatch, 0.2);  // Of a part that runs beside another: nothing is undone.
     const v1::JobStatus status = bench.Status("job");
     const v1::StageStatus& stage = status.stages(dispatch.task.kind() - 1);
     EXPECT_EQ(stage.running(), 1U);
