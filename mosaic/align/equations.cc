@@ -266,8 +266,6 @@ double Equations::FloorPx(std::size_t tie) const { return std::hypot(graph_.ties
 
 void Equations::AddTies() {
   tie_blocks_.assign(graph_.ties.size(), nullptr);
-  std::vector<int> ties_of_scene(graph_.scenes.size(), 0);
-  for (const Tie& tie : graph_.ties) ++ties_of_scene[static_cast<std::size_t>(tie.scene)];
   for (std::size_t t = 0; t < graph_.ties.size(); ++t) {
     const Tie& tie = graph_.ties[t];
     const auto f = static_cast<std::size_t>(tie.frame);
@@ -279,7 +277,7 @@ void Equations::AddTies() {
     for (std::size_t k = 0; k < 4; ++k) xi[k] = UnitFromShown(tie.scene, view.scene_from_sensor * u[k]);
     const Whitener8 whitener = TieWhitener(view.corner_covariance_px2, FloorPx(t));
     // The one frame of a scene is the scene, perspective included, which nothing else would hold.
-    const bool affine_part = view.corner_covariance_px2.rows() == 6 && ties_of_scene[s] > 1;
+    const bool affine_part = view.corner_covariance_px2.rows() == 6 && graph_.scenes[s].ties.size() > 1;
     ceres::CostFunction* cost = nullptr;
     if (state_.frames[f].camera) {
       cost = new ceres::AutoDiffCostFunction<TieResidual<CameraProjection>, 8, kCameraParameters, kMapParameters, kLensParameters>(
