@@ -92,8 +92,7 @@ Finding JudgeReach(Reach reach, const std::string& endpoint, const std::string& 
             "full counts it (trem_connections_refused_total{reason=\"full\"}, --connections-max)"};
       return {subject, false, "whoever answers at " + endpoint + " does not have the key of " + coordinator_key,
               "get the coordinator's present .pub file from whoever runs it; if its key was not changed, find out who answers there, "
-              "whether it "
-              "uses keys at all, or whether it is full (--connections-max)"};
+              "whether it uses keys at all, or whether it is full (--connections-max)"};
     case Reach::kKeysDiffer:
       if (key.empty()) {
         return {subject, false, "the coordinator at " + endpoint + " wants keys",

@@ -43,11 +43,11 @@ class ComputeThread {
 
  private:
   bool Report(double fraction);
+  // The thread's: task after task, until the owner leaves.
+  void Serve();
 
   Task task_;
   std::function<void()> on_finished_;
-  void Serve();
-
   std::thread thread_;  // Started with the first task; sleeps between tasks.
   std::mutex mutex_;
   std::condition_variable has_news_;

@@ -216,7 +216,7 @@ void Segment::ReviseKeptFrames() {
     prior.mean = frame.view;
     prior.information = CornerMatrix::Identity(covariance_.rows(), covariance_.rows()) / (kRevisitSigmaPx * kRevisitSigmaPx);
     const Registration again = RegisterGaussNewton(frame.observation(), reference, prior, frame.view, {});
-    if (!again.converged || again.overlap < 0.25 || again.motion_from_prior_px > 3.0 * kRevisitSigmaPx) continue;
+    if (!again.converged || again.overlap < kRegistrationOverlapMin || again.motion_from_prior_px > 3.0 * kRevisitSigmaPx) continue;
     frame.view = again.view;
     revised_.push_back({frame.frame_index, again});
   }

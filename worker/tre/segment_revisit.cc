@@ -7,9 +7,8 @@
 namespace trem {
 namespace {
 
-// Frames after which the first ones are registered again; how much each must overlap what is settled, and may move.
+// Frames after which the first ones are registered again; how far each may move.
 constexpr int kRevisitedFrames = 8;
-constexpr double kRevisitOverlapMin = 0.25;
 constexpr double kRevisitMotionMaxPx = 0.5;
 constexpr std::uint64_t kRevisitStream = std::uint64_t{1} << 32;  // Its random streams are not those of the first time.
 constexpr double kMotionSigmaPx = 0.7;
@@ -66,7 +65,7 @@ void Segment::Revisit(double noise_sigma) {
     request.stream[1] = segment_id_;
     request.stream[2] = kRevisitStream + static_cast<std::uint64_t>(frame.frame_index);
     const JudgedRegistration judged = Register(ObservationOfWhole(frame, roi_, noise_sigma), ReferenceNow(SeenMin()), request);
-    if (!judged.doubt.empty() || judged.registration.overlap < kRevisitOverlapMin) return;
+    if (!judged.doubt.empty() || judged.registration.overlap < kRegistrationOverlapMin) return;
     found.push_back(judged.registration);
   }
   const View nominal = early.front().second.view;
