@@ -11,6 +11,7 @@
 #include "mosaic/base/log.h"
 #include "mosaic/base/sweep.h"
 #include "mosaic/base/version.h"
+#include "proto/codec/convert.h"
 #include "proto/codec/sortie_paths.h"
 #include "proto/codec/upload.h"
 
@@ -58,8 +59,7 @@ void Shell::NoteDone(const std::string& worker_id, const v1::Done& done) {
            fmt::format("result after {:.3f} s, at most {} MiB of memory", static_cast<double>(done.elapsed_ms()) / 1000.0,
                        done.peak_memory_bytes() >> 20));
   for (const v1::Note& note : done.result().notes()) {
-    NoteTask(attempt.task_key(), attempt.attempt(), worker_id, note.subject() + (note.subject().empty() ? "" : ": ") + note.message(),
-             note.severity() == v1::WARNING);
+    NoteTask(attempt.task_key(), attempt.attempt(), worker_id, NoteText(note), note.severity() == v1::WARNING);
   }
 }
 

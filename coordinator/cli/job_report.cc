@@ -5,6 +5,7 @@
 #include <string_view>
 
 #include "mosaic/base/status.h"
+#include "proto/codec/convert.h"
 
 namespace trem {
 namespace {
@@ -71,7 +72,7 @@ std::vector<std::string> WarningLines(const v1::JobStatus& job, std::size_t coun
   std::vector<std::string> lines;
   std::size_t count = 0;
   const auto add = [&](const v1::Note& note) {
-    if (++count <= count_max) lines.push_back(note.subject().empty() ? note.message() : note.subject() + ": " + note.message());
+    if (++count <= count_max) lines.push_back(NoteText(note));
   };
   for (const v1::Note& hole : job.holes()) add(hole);
   for (const v1::Note& note : job.notes()) {

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "mosaic/base/parallel.h"
 #include "mosaic/publish/report_map.h"
@@ -163,16 +164,37 @@ Result<std::string> Charts(const ReportData& data, int threads) {
   return html.empty() ? html : "<h2>Frame by frame</h2>\n<div class=\"pair\">\n" + html + "</div>\n";
 }
 
+// "subject: message (code)".
+std::string NoteLine(const ReportNote& note) {
+  return (note.subject.empty() ? "" : "<b>" + HtmlEscaped(note.subject) + "</b>: ") + HtmlEscaped(note.message) + " <small>(" +
+         HtmlEscaped(note.code) + ")</small>";
+}
+
+// Warnings first. What many windows or frames say alike takes one line, which opens.
 std::string Notes(const ReportData& data) {
+  constexpr std::size_t kUnfoldedMax = 3;
   if (data.notes.empty()) return "";
+  std::map<std::pair<bool, std::string>, std::vector<const ReportNote*>> alike;
+  std::vector<std::pair<bool, std::string>> order;
+  for (const ReportNote& note : data.notes) {
+    std::vector<const ReportNote*>& notes = alike[{note.warning, note.code}];
+    if (notes.empty()) order.emplace_back(note.warning, note.code);
+    notes.push_back(&note);
+  }
+  std::stable_partition(order.begin(), order.end(), [](const auto& group) { return group.first; });
   std::string html = "<h2>Warnings and notes</h2>\n";
-  for (const bool warning : {true, false}) {
-    for (const ReportNote& note : data.notes) {
-      if (note.warning != warning) continue;
-      html += std::string("<div class=\"") + (warning ? "warning" : "info") + "\">";
-      if (!note.subject.empty()) html += "<b>" + HtmlEscaped(note.subject) + "</b>: ";
-      html += HtmlEscaped(note.message) + " <small>(" + HtmlEscaped(note.code) + ")</small></div>\n";
+  for (const auto& group : order) {
+    const std::vector<const ReportNote*>& notes = alike[group];
+    const std::string style = group.first ? "warning" : "info";
+    const bool folded = notes.size() > kUnfoldedMax;
+    if (folded) {
+      html += fmt::format("<details class=\"{}\"><summary>{} <i>and {} more like this</i></summary>\n", style, NoteLine(*notes.front()),
+                          notes.size() - 1);
     }
+    for (std::size_t i = folded ? 1 : 0; i < notes.size(); ++i) {
+      html += fmt::format("<div class=\"{}\">{}</div>\n", style, NoteLine(*notes[i]));
+    }
+    if (folded) html += "</details>\n";
   }
   return html;
 }

@@ -67,6 +67,8 @@ v1::RoiMessage ToProto(const Roi& roi) {
 
 Roi FromProto(const v1::RoiMessage& message) { return {message.x0(), message.y0(), message.x1(), message.y1()}; }
 
+std::string NoteText(const v1::Note& note) { return note.subject().empty() ? note.message() : note.subject() + ": " + note.message(); }
+
 v1::ArtefactRef ToProto(const ArtefactRef& ref) {
   v1::ArtefactRef message;
   message.set_name(ref.name);
@@ -91,7 +93,8 @@ v1::MosaicGridMessage ToProto(const MosaicGrid& grid) {
 
 Result<MosaicGrid> FromProto(const v1::MosaicGridMessage& message) {
   if (!std::isfinite(message.origin_x()) || !std::isfinite(message.origin_y())) return Corrupt("grid.origin is not finite");
-  if (!(message.gsd() > 0.0) || !std::isfinite(message.gsd())) return Corrupt("grid.gsd is " + std::to_string(message.gsd()) + "; expected > 0");
+  if (!(message.gsd() > 0.0) || !std::isfinite(message.gsd()))
+    return Corrupt("grid.gsd is " + std::to_string(message.gsd()) + "; expected > 0");
   if (message.width() < 1 || message.height() < 1 || message.width() > kMosaicSideMax || message.height() > kMosaicSideMax) {
     return Corrupt("grid is " + std::to_string(message.width()) + " x " + std::to_string(message.height()) + " pixels; expected 1.." +
                    std::to_string(kMosaicSideMax) + " a side");

@@ -18,6 +18,9 @@ namespace trem {
 v1::RoiMessage ToProto(const Roi& roi);
 Roi FromProto(const v1::RoiMessage& message);
 
+// What a note says to people: its subject, when it has one, and its message.
+std::string NoteText(const v1::Note& note);
+
 v1::ArtefactRef ToProto(const ArtefactRef& ref);
 ArtefactRef FromProto(const v1::ArtefactRef& message);
 

@@ -337,7 +337,7 @@ Result<Outcome> Enhance(const Arguments& arguments) {
   }
   TREM_ASSIGN_OR_RETURN(const v1::TaskResult enhanced, RunWithProgress("enhancing", arguments, store, enhance));
   TREM_CHECK(enhanced.outputs_size() >= 1);
-  for (const v1::Note& note : enhanced.notes()) notes.push_back(note.message());
+  for (const v1::Note& note : enhanced.notes()) notes.push_back(NoteText(note));
   v1::WindowResult window;
   TREM_RETURN_IF_ERROR(ReadProtoArtefact(store, enhanced.outputs(0), &window));
   const EnhancedWindow made{&manifest, &window, &store, static_cast<int>(ingest.sortie().tre().ratio())};

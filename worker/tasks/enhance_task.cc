@@ -153,8 +153,7 @@ void AddNotes(const v1::EnhanceParams& params, const v1::SortieManifest& manifes
     note->set_code(found.code);
     const std::string window = "window " + std::to_string(params.window_id());
     note->set_subject(found.frame_index < 0 ? window : "frame " + manifest.frames(found.frame_index).name());
-    note->set_message(found.frame_index < 0 ? window + ": " + found.text
-                                            : "frame " + std::to_string(found.frame_index) + ", " + window + ": " + found.text);
+    note->set_message(found.frame_index < 0 ? found.text : "in " + window + ": " + found.text);
     note->set_severity(v1::INFO);
   }
 }

@@ -75,6 +75,26 @@ TEST(Report, SaysInOneSentenceWhetherToTrustTheMosaic) {
   EXPECT_NE(RenderReport(data)->find("Do not rely on this mosaic before you have looked into:</b> Parts that failed"), std::string::npos);
 }
 
+TEST(Report, FoldsWhatManyWindowsSayAlikeAndLeavesNothingOut) {
+  ReportData data = GoodData();
+  for (int window = 0; window < 5; ++window)
+    data.notes.push_back({false, "bad_pixels", "window " + std::to_string(window), "some were found"});
+  for (int frame = 0; frame < 3; ++frame) data.notes.push_back({false, "brightness_jump", "frame " + std::to_string(frame), "jumps"});
+  data.notes.push_back({true, "pieces", "", "two of them"});
+  const std::string page = *RenderReport(data);
+  const auto at = [&page](const std::string& text) { return page.find(text); };
+  EXPECT_NE(at("<summary><b>window 0</b>: some were found <small>(bad_pixels)</small> <i>and 4 more like this</i></summary>"),
+            std::string::npos);
+  for (const ReportNote& note : data.notes) {
+    const std::string line = (note.subject.empty() ? "" : "<b>" + note.subject + "</b>: ") + note.message;
+    EXPECT_NE(at(line), std::string::npos) << line;
+  }
+  EXPECT_EQ(at("<details"), page.rfind("<details")) << "three notes are few enough to stand by themselves";
+  EXPECT_LT(at("two of them"), at("window 0")) << "warnings come first";
+  EXPECT_LT(at("window 4"), at("</details>"));
+  EXPECT_LT(at("</details>"), at("frame 0"));
+}
+
 TEST(Report, MapsFootprintsTrackAndScaleInMosaicPixels) {
   ReportData data = GoodData();
   data.preview.png = "png";
