@@ -16,6 +16,9 @@ constexpr int kLeft = 70;
 constexpr int kRight = 16;
 constexpr int kTop = 52;  // Title and legend.
 constexpr int kBottom = 44;
+constexpr int kLegendRow = 20;   // Height.
+constexpr int kLegendLine = 26;  // Of colour before a name, with the space after it.
+constexpr int kLegendGap = 14;   // Before the line.
 constexpr double kTextScale = 0.4;
 constexpr int kShift = 4;  // Bits of a pixel's fraction in drawn coordinates.
 const cv::Scalar kInk(40, 40, 40);
@@ -65,7 +68,11 @@ std::string Number(double value, double step) {
 class Plot {
  public:
   Plot(const LineChart& chart, const Axis& x, const Axis& y)
-      : chart_(chart), x_(x), y_(y), canvas_(chart.height, chart.width, CV_8UC3, cv::Scalar(255, 255, 255)) {}
+      : chart_(chart),
+        x_(x),
+        y_(y),
+        top_(LegendWidth() + 6 + TextWidth(chart.y_label) > chart.width - kRight ? kTop + kLegendRow : kTop),
+        canvas_(chart.height, chart.width, CV_8UC3, cv::Scalar(255, 255, 255)) {}
 
   const cv::Mat& Draw() {
     DrawAxes();
@@ -76,17 +83,22 @@ class Plot {
 
  private:
   int PlotWidth() const { return chart_.width - kLeft - kRight; }
-  int PlotHeight() const { return chart_.height - kTop - kBottom; }
+  int PlotHeight() const { return chart_.height - top_ - kBottom; }
+  int LegendWidth() const {
+    int width = 0;
+    for (const ChartLine& line : chart_.lines) width += TextWidth(line.name) + kLegendLine + kLegendGap;
+    return width;
+  }
   double Column(double x) const { return kLeft + x_.Part(x) * PlotWidth(); }
-  double Row(double y) const { return kTop + (1.0 - y_.Part(y)) * PlotHeight(); }
+  double Row(double y) const { return top_ + (1.0 - y_.Part(y)) * PlotHeight(); }
 
   void DrawAxes() {
     for (int k = 0; x_.low + k * x_.step <= x_.high + 1e-9 * x_.step; ++k) {
       const double value = x_.low + k * x_.step;
       const int column = static_cast<int>(std::lround(Column(value)));
-      cv::line(canvas_, {column, kTop}, {column, kTop + PlotHeight()}, kGrid);
+      cv::line(canvas_, {column, top_}, {column, top_ + PlotHeight()}, kGrid);
       const std::string text = Number(value, x_.step);
-      Text(&canvas_, text, {column - TextWidth(text) / 2, kTop + PlotHeight() + 16});
+      Text(&canvas_, text, {column - TextWidth(text) / 2, top_ + PlotHeight() + 16});
     }
     for (int k = 0; y_.low + k * y_.step <= y_.high + 1e-9 * y_.step; ++k) {
       const double value = y_.low + k * y_.step;
@@ -95,7 +107,7 @@ class Plot {
       const std::string text = Number(value, y_.step);
       Text(&canvas_, text, {kLeft - 6 - TextWidth(text), row + 4});
     }
-    cv::rectangle(canvas_, cv::Rect(kLeft, kTop, PlotWidth() + 1, PlotHeight() + 1), kInk);
+    cv::rectangle(canvas_, cv::Rect(kLeft, top_, PlotWidth() + 1, PlotHeight() + 1), kInk);
     Text(&canvas_, chart_.title, {kLeft, 18}, 0.48);
     Text(&canvas_, chart_.x_label, {kLeft + (PlotWidth() - TextWidth(chart_.x_label)) / 2, chart_.height - 10});
     Text(&canvas_, chart_.y_label, {6, 38});
@@ -116,16 +128,17 @@ class Plot {
     for (std::size_t i = chart_.lines.size(); i > 0; --i) {
       const std::string& name = chart_.lines[i - 1].name;
       column -= TextWidth(name);
-      Text(&canvas_, name, {column, 42});
-      column -= 26;
-      cv::line(canvas_, {column, 38}, {column + 20, 38}, kColours[i - 1], 2, cv::LINE_AA);
-      column -= 14;
+      Text(&canvas_, name, {column, top_ - 10});
+      column -= kLegendLine;
+      cv::line(canvas_, {column, top_ - 14}, {column + 20, top_ - 14}, kColours[i - 1], 2, cv::LINE_AA);
+      column -= kLegendGap;
     }
   }
 
   const LineChart& chart_;
   Axis x_;
   Axis y_;
+  int top_;  // Row of the plot's upper edge: the legend stands above it, below the label of the axis where both do not fit in a row.
   cv::Mat canvas_;
 };
 

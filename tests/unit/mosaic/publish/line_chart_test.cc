@@ -51,6 +51,29 @@ TEST(LineChart, ValuesThatAreNotFiniteBreakTheLine) {
   EXPECT_EQ(ColouredRow(picture, 70 + 277), -1);
 }
 
+// A legend beside the label of the axis would be drawn over it: then it has a row of its own.
+TEST(LineChart, ALongLegendStandsBelowTheLabelOfTheAxis) {
+  LineChart chart = Rising();
+  chart.y_label = "a label";
+  chart.lines[0].name = "a name that leaves no room for the label, since it is as wide as the plot itself is";
+  const cv::Mat3b picture = Decode(*LineChartPng(chart));
+  const auto inked = [&picture](int top, int bottom) {
+    int count = 0;
+    for (int y = top; y < bottom; ++y) {
+      for (int x = 0; x < picture.cols; ++x) count += picture(y, x)[0] < 128 ? 1 : 0;
+    }
+    return count;
+  };
+  chart.lines[0].name = "y = x";
+  const cv::Mat3b beside = Decode(*LineChartPng(chart));
+  EXPECT_GT(inked(46, 66), 200) << "the legend's row";
+  int label_changed = 0;
+  for (int y = 26; y < 44; ++y) {
+    for (int x = 0; x < 60; ++x) label_changed += picture(y, x) != beside(y, x) ? 1 : 0;
+  }
+  EXPECT_EQ(label_changed, 0) << "the label is drawn over";
+}
+
 TEST(LineChart, SameChartSameBytesOtherValuesOtherBytes) {
   LineChart other = Rising();
   other.lines[0].y[1] = 3.5;
