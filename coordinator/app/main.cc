@@ -302,7 +302,7 @@ Status Serve(const ArtefactServer* data_lane, StoreKeeper* keeper, RouterChannel
     TREM_RETURN_IF_ERROR(shell->Flush());
     is_busy = shell->Maintain();
     if (keeper != nullptr) keeper->Tend(now_ms, shell);
-    monitoring->Observe(now_ms, *channel, *gate, shell->scheduler());
+    monitoring->Observe(now_ms, *channel, *gate, data_lane, *shell);
   }
   return {};
 }

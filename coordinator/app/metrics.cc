@@ -45,37 +45,67 @@ struct Metrics::State {
   Counter& NewCounter(const char* name, const char* help, const prometheus::Labels& labels = {}) {
     return prometheus::BuildCounter().Name(name).Help(help).Register(registry).Add(labels);
   }
-  Counter& Refused(const char* reason) {
-    return NewCounter("trem_messages_refused_total", "Messages that were not let through, by reason", {{"reason", reason}});
+  Counter& Refused(const char* lane, const char* reason) {
+    return NewCounter("trem_messages_refused_total", "Messages that were not let through, by reason", {{"lane", lane}, {"reason", reason}});
   }
-  Counter& ConnectionsRefused(const char* reason) {
-    return NewCounter("trem_connections_refused_total", "Connections that were not let in, by reason", {{"reason", reason}});
-  }
-  Counter& Messages(const char* direction) {
-    return NewCounter("trem_messages_total", "Messages on the control lane", {{"direction", direction}});
-  }
-  Counter& Bytes(const char* direction) {
-    return NewCounter("trem_message_bytes_total", "Bytes of messages on the control lane", {{"direction", direction}});
-  }
+
+  // What a socket counts.
+  struct Lane {
+    Lane(State* state, const char* lane)
+        : connections(state->NewGauge("trem_connections", "Connections that stand", {{"lane", lane}})),
+          accepted(state->NewCounter("trem_connections_accepted_total", "Connections accepted", {{"lane", lane}})),
+          closed(state->NewCounter("trem_connections_closed_total", "Connections that have ended, whoever closed them", {{"lane", lane}})),
+          refused_full(Refused(state, lane, "full")),
+          refused_handshake(Refused(state, lane, "handshake")),
+          refused_key(Refused(state, lane, "key")),
+          received(Messages(state, lane, "received")),
+          sent(Messages(state, lane, "sent")),
+          bytes_received(Bytes(state, lane, "received")),
+          bytes_sent(Bytes(state, lane, "sent")) {}
+    void Observe(const ChannelCounters& channel) {
+      connections.Set(static_cast<double>(channel.connections));
+      RaiseTo(&accepted, channel.accepted);
+      RaiseTo(&closed, channel.accepted - std::min(channel.accepted, channel.connections));
+      RaiseTo(&refused_full, channel.refused_full);
+      RaiseTo(&refused_key, channel.keys_refused);
+      RaiseTo(&refused_handshake, channel.handshakes_failed);
+      RaiseTo(&received, channel.messages_received);
+      RaiseTo(&sent, channel.messages_sent);
+      RaiseTo(&bytes_received, channel.bytes_received);
+      RaiseTo(&bytes_sent, channel.bytes_sent);
+    }
+
+   private:
+    static Counter& Refused(State* state, const char* lane, const char* reason) {
+      return state->NewCounter("trem_connections_refused_total", "Connections that were not let in, by reason",
+                               {{"lane", lane}, {"reason", reason}});
+    }
+    static Counter& Messages(State* state, const char* lane, const char* direction) {
+      return state->NewCounter("trem_messages_total", "Messages", {{"lane", lane}, {"direction", direction}});
+    }
+    static Counter& Bytes(State* state, const char* lane, const char* direction) {
+      return state->NewCounter("trem_message_bytes_total", "Bytes of messages", {{"lane", lane}, {"direction", direction}});
+    }
+
+    Gauge& connections;
+    Counter &accepted, &closed, &refused_full, &refused_handshake, &refused_key, &received, &sent, &bytes_received, &bytes_sent;
+  };
 
   Gauge& waiting =
       NewGauge("trem_tasks_waiting", "Tasks of the stages that running jobs are in, which no worker holds: scale workers by this");
   Gauge& running = NewGauge("trem_tasks_running", "Tasks that workers hold");
   Gauge& workers = NewGauge("trem_workers", "Workers that are heard of");
-  Gauge& connections = NewGauge("trem_connections", "Connections that stand");
-  Counter& accepted = NewCounter("trem_connections_accepted_total", "Connections accepted");
-  Counter& refused_full = ConnectionsRefused("full");
-  Counter& refused_handshake = ConnectionsRefused("handshake");
-  Counter& refused_key = ConnectionsRefused("key");
-  Counter& received = Messages("received");
-  Counter& sent = Messages("sent");
-  Counter& bytes_received = Bytes("received");
-  Counter& bytes_sent = Bytes("sent");
-  Counter& wrong_role = Refused("role");
-  Counter& too_many = Refused("rate");
-  Counter& too_large = Refused("size");
-  Counter& malformed = Refused("malformed");
+  Gauge& store_bytes = NewGauge("trem_artefact_store_bytes", "Bytes of the artefact store, as the last sweep has found them");
+  Lane control{this, "control"};
+  Lane data{this, "data"};
+  Counter& wrong_role = Refused("control", "role");
+  Counter& too_many = Refused("control", "rate");
+  Counter& too_large = Refused("control", "size");
+  Counter& malformed = Refused("control", "malformed");
+  Counter& data_malformed = Refused("data", "malformed");
   Counter& attempts = NewCounter("trem_attempts_started_total", "Times that a task was handed to a worker");
+  Counter& leases_lost =
+      NewCounter("trem_leases_lost_total", "Leases that ended without a result: no progress, the worker gone, or the task handed back");
   Counter& differed = NewCounter("trem_results_differed_total", "Second results of a task whose bytes were other ones");
   Counter& events = NewCounter("trem_store_events_total", "Events made durable");
   Histogram& commit_seconds = prometheus::BuildHistogram()
@@ -114,16 +144,10 @@ void Metrics::ObserveCommit(std::span<const v1::LogEvent> events, std::chrono::d
   }
 }
 
-void Metrics::ObserveTraffic(const ChannelCounters& channel, const GateCounters& gate) {
-  state_->connections.Set(static_cast<double>(channel.connections));
-  RaiseTo(&state_->accepted, channel.accepted);
-  RaiseTo(&state_->refused_full, channel.refused_full);
-  RaiseTo(&state_->refused_key, channel.keys_refused);
-  RaiseTo(&state_->refused_handshake, channel.handshakes_failed);
-  RaiseTo(&state_->received, channel.messages_received);
-  RaiseTo(&state_->sent, channel.messages_sent);
-  RaiseTo(&state_->bytes_received, channel.bytes_received);
-  RaiseTo(&state_->bytes_sent, channel.bytes_sent);
+void Metrics::ObserveTraffic(const ChannelCounters& control, const GateCounters& gate, const ChannelCounters& data) {
+  state_->control.Observe(control);
+  state_->data.Observe(data);
+  RaiseTo(&state_->data_malformed, data.garbage);
   RaiseTo(&state_->wrong_role, gate.wrong_role);
   RaiseTo(&state_->too_many, gate.too_many);
   RaiseTo(&state_->too_large, gate.too_large);
@@ -152,6 +176,11 @@ void Metrics::ObserveFleet(std::span<const v1::JobStatus> jobs, std::size_t work
   state_->waiting.Set(static_cast<double>(waiting));
   state_->running.Set(static_cast<double>(running));
   state_->workers.Set(static_cast<double>(worker_count));
+}
+
+void Metrics::ObserveTotals(std::uint64_t leases_lost, std::uint64_t store_bytes) {
+  RaiseTo(&state_->leases_lost, leases_lost);
+  state_->store_bytes.Set(static_cast<double>(store_bytes));
 }
 
 std::string Metrics::Text() const { return prometheus::TextSerializer().Serialize(state_->registry.Collect()); }

@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
@@ -24,9 +25,10 @@ class Metrics {
 
   // Events that are durable now, and how long that took.
   void ObserveCommit(std::span<const v1::LogEvent> events, std::chrono::duration<double> elapsed);
-  // Totals of the socket and of the gate so far.
-  void ObserveTraffic(const ChannelCounters& channel, const GateCounters& gate);
+  // Totals of the sockets and of the gate so far.
+  void ObserveTraffic(const ChannelCounters& control, const GateCounters& gate, const ChannelCounters& data);
   void ObserveFleet(std::span<const v1::JobStatus> jobs, std::size_t worker_count);
+  void ObserveTotals(std::uint64_t leases_lost, std::uint64_t store_bytes);
 
   // All of it in Prometheus' text format.
   std::string Text() const;

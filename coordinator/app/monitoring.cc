@@ -25,14 +25,16 @@ void Monitoring::BecomeReady() {
   is_ready_ = true;
 }
 
-void Monitoring::Observe(TimeMs now_ms, const RouterChannel& channel, const Gate& gate, const Scheduler& scheduler) {
+void Monitoring::Observe(TimeMs now_ms, const RouterChannel& channel, const Gate& gate, const ArtefactServer* data_lane,
+                         const Shell& shell) {
   last_turn_ = Clock::now().time_since_epoch().count();
   if (now_ms < next_update_ms_ || !server_) return;
   next_update_ms_ = now_ms + kUpdateIntervalMs;
   server_->CloseOldConnections();
-  metrics_.ObserveTraffic(channel.counters(), gate.counters());
-  const std::vector<v1::JobStatus> jobs = scheduler.JobStatuses();
-  metrics_.ObserveFleet(jobs, scheduler.WorkerStatuses().size());
+  metrics_.ObserveTraffic(channel.counters(), gate.counters(), data_lane != nullptr ? data_lane->counters() : ChannelCounters());
+  const std::vector<v1::JobStatus> jobs = shell.scheduler().JobStatuses();
+  metrics_.ObserveFleet(jobs, shell.scheduler().WorkerStatuses().size());
+  metrics_.ObserveTotals(shell.scheduler().leases_lost(), shell.store_bytes());
 }
 
 double Monitoring::Silence() const {

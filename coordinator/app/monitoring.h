@@ -8,8 +8,9 @@
 
 #include "coordinator/app/gate.h"
 #include "coordinator/app/metrics.h"
+#include "coordinator/app/shell.h"
+#include "coordinator/data/artefact_server.h"
 #include "coordinator/http/http_server.h"
-#include "coordinator/scheduling/scheduler.h"
 #include "proto/channel/router_channel.h"
 
 namespace trem {
@@ -27,7 +28,8 @@ class Monitoring {
   void BeginCommit() { commit_began_ = Clock::now(); }
   void EndCommit(std::span<const v1::LogEvent> events) { metrics_.ObserveCommit(events, Clock::now() - commit_began_); }
   // Once a turn of the coordinator's loop; the metrics follow once a second.
-  void Observe(TimeMs now_ms, const RouterChannel& channel, const Gate& gate, const Scheduler& scheduler);
+  // `data_lane` may be null.
+  void Observe(TimeMs now_ms, const RouterChannel& channel, const Gate& gate, const ArtefactServer* data_lane, const Shell& shell);
 
   // Where it is served; empty: nowhere.
   std::string url() const { return server_ ? server_->url() : std::string(); }

@@ -86,6 +86,7 @@ class Shell {
   void RefuseJobs(std::string reason) { no_jobs_because_ = std::move(reason); }
   // What the artefact store held when it was last looked at.
   void NoteStoreBytes(std::uint64_t bytes) { store_bytes_ = bytes; }
+  std::uint64_t store_bytes() const { return store_bytes_; }
   // The disk that holds the log is full.
   bool is_full() const { return is_full_; }
 

@@ -17,6 +17,10 @@ constexpr milliseconds kIdleInterval{100};
 // An unanswered question is asked again, over a new connection so that a late answer to the first is not taken for one to the next.
 constexpr milliseconds kRepeatAfter{3000};
 
+// How long a wait that may take at most kIdleInterval counts as silence of the other side. One that took far longer was none: this process
+// did not run (it was stopped, or its machine slept), and an answer may lie there unread.
+Clock::duration Waited(Clock::time_point since) { return std::min<Clock::duration>(Clock::now() - since, 2 * kIdleInterval); }
+
 StatusCode CodeFromWire(std::uint32_t code) {
   const bool known = code > static_cast<std::uint32_t>(StatusCode::kOk) && code <= static_cast<std::uint32_t>(StatusCode::kFailed);
   return known ? static_cast<StatusCode>(code) : StatusCode::kFailed;
@@ -35,21 +39,25 @@ Status Client::Idled() const {
 }
 
 Result<v1::Envelope> Client::Ask(const v1::Envelope& question) {
-  const auto deadline = Clock::now() + patience_;
-  while (Clock::now() < deadline) {
+  Clock::duration silence{0};
+  while (silence < patience_) {
     TREM_RETURN_IF_ERROR(Idled());
     if (!channel_) {
       TREM_ASSIGN_OR_RETURN(const ChannelOptions options, ChannelOptionsOf(keys_.own, keys_.coordinator));
       TREM_ASSIGN_OR_RETURN(channel_, DealerChannel::Connect(endpoint_, options));
     }
+    auto start = Clock::now();
     const Status sent = channel_->Send(question, kIdleInterval);
+    if (!sent.ok()) silence += Waited(start);
     if (sent.code() == StatusCode::kUnavailable) continue;
     TREM_RETURN_IF_ERROR(sent);
-    const auto repeat_at = std::min(deadline, Clock::now() + kRepeatAfter);
-    while (Clock::now() < repeat_at) {
+    const Clock::duration repeat_at = std::min<Clock::duration>(patience_, silence + kRepeatAfter);
+    while (silence < repeat_at) {
+      start = Clock::now();
       TREM_ASSIGN_OR_RETURN(std::optional<v1::Envelope> answer, channel_->Receive(kIdleInterval));
       if (answer && answer->has_error()) return Status(CodeFromWire(answer->error().status_code()), answer->error().message());
       if (answer && !answer->has_heartbeat()) return *std::move(answer);
+      silence += Waited(start);
       TREM_RETURN_IF_ERROR(Idled());
     }
     channel_.reset();

@@ -24,7 +24,8 @@ class Client {
   // Called at least every 100 ms while waiting; an error ends the wait with it.
   using Idle = std::function<Status()>;
 
-  // `patience`: how long a question may stay unanswered. `idle` may be empty: then an interrupt (see interrupt.h) ends the wait.
+  // `patience`: how long a question may stay unanswered while this process runs. `idle` may be empty: then an interrupt (see interrupt.h)
+  // ends the wait.
   Client(std::string endpoint, std::chrono::milliseconds patience, Idle idle = {}, KeyPaths keys = {});
   ~Client();
 

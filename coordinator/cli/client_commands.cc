@@ -76,10 +76,14 @@ Result<v1::JobStatus> GetJob(Client* client, const std::string& job_id) {
 
 Result<v1::JobStatus> Watch(Client* client, const RemoteOptions& remote, const std::string& job_id) {
   ProgressDisplay display(ProgressDisplay::ModeFor(remote.quiet));
+  Absence absence;
   for (;;) {
-    TREM_ASSIGN_OR_RETURN(const v1::JobStatus job, GetJob(client, job_id));
-    display.Show(job);
-    if (job.state() != v1::JOB_RUNNING) return job;
+    Result<v1::JobStatus> job = GetJob(client, job_id);
+    if (!job.ok()) display.Clear();
+    if (absence.Outlasts(job.status(), client)) continue;
+    if (!job.ok()) return job;
+    display.Show(*job);
+    if (job->state() != v1::JOB_RUNNING) return job;
     TREM_RETURN_IF_ERROR(client->Pause(kPollInterval));
   }
 }

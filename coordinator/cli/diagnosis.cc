@@ -89,7 +89,7 @@ Finding JudgeReach(Reach reach, const std::string& endpoint, const std::string& 
         return {
             subject, false, "whoever answers at " + endpoint + " is no coordinator, or takes no more connections",
             "check the port; a coordinator that wants keys may hang up like this: name yours with --key and --coordinator-key; one that is "
-            "full counts it (trem_connections_refused_total{reason=\"full\"}, --connections-max)"};
+            "full counts it (trem_connections_refused_total{lane=\"control\",reason=\"full\"}, --connections-max)"};
       return {subject, false, "whoever answers at " + endpoint + " does not have the key of " + coordinator_key,
               "get the coordinator's present .pub file from whoever runs it; if its key was not changed, find out who answers there, "
               "whether it uses keys at all, or whether it is full (--connections-max)"};

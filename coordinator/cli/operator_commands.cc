@@ -69,14 +69,19 @@ Status PrintPages(const RemoteOptions& remote, const LogsOptions& options, Clien
 Status FollowLog(const RemoteOptions& remote, const LogsOptions& options) {
   TREM_RETURN_IF_ERROR(CheckJobId(options.job_id));
   Client client = MakeClient(remote);
+  Absence absence;
   std::uint64_t after = 0;
   for (;;) {
     bool is_running = false;
+    Status asked;
     if (options.follow) {
-      TREM_ASSIGN_OR_RETURN(const v1::JobStatus job, client.GetJob(options.job_id));
-      is_running = job.state() == v1::JOB_RUNNING;
+      const Result<v1::JobStatus> job = client.GetJob(options.job_id);
+      asked = job.status();
+      is_running = job.ok() && job->state() == v1::JOB_RUNNING;
     }
-    TREM_RETURN_IF_ERROR(PrintPages(remote, options, &client, &after));
+    if (asked.ok()) asked = PrintPages(remote, options, &client, &after);
+    if (options.follow && absence.Outlasts(asked, &client)) continue;
+    TREM_RETURN_IF_ERROR(asked);
     if (!is_running) return {};
     TREM_RETURN_IF_ERROR(client.Pause(kFollowInterval));
   }
@@ -121,10 +126,13 @@ ordered_json ViewJson(const FleetView& view) {
 Status ShowTop(const RemoteOptions& remote, const TopOptions& options) {
   const bool once = options.once || remote.json || ::isatty(STDOUT_FILENO) == 0;
   Client client = MakeClient(remote);
+  Absence absence;
   std::optional<std::pair<std::chrono::steady_clock::time_point, std::uint64_t>> before;
   for (;;) {
     const auto now = std::chrono::steady_clock::now();
-    TREM_ASSIGN_OR_RETURN(FleetView view, Look(remote, &client));
+    Result<FleetView> looked = Look(remote, &client);
+    if (!once && absence.Outlasts(looked.status(), &client)) continue;
+    TREM_ASSIGN_OR_RETURN(FleetView view, std::move(looked));
     // Results that were lost are not done any more: then the rate is not known.
     if (before && view.tasks_done >= before->second) {
       view.tasks_per_s = static_cast<double>(view.tasks_done - before->second) / std::chrono::duration<double>(now - before->first).count();

@@ -8,6 +8,9 @@ namespace trem {
 namespace {
 
 constexpr std::chrono::seconds kPatience{5};
+// Some cluster managers take minutes to start a coordinator again.
+constexpr std::chrono::minutes kAbsenceMax{10};
+constexpr std::chrono::milliseconds kAskAgain{500};
 
 }  // namespace
 
@@ -24,6 +27,22 @@ int ReportFailure(const Status& status) {
 Client MakeClient(const RemoteOptions& remote) {
   CountInterrupts();
   return Client(remote.coordinator, kPatience, {}, {remote.key, remote.coordinator_key});
+}
+
+bool Absence::Outlasts(const Status& status, Client* client) {
+  const bool is_away = status.code() == StatusCode::kUnavailable || status.code() == StatusCode::kExhausted;
+  if (!is_away) {
+    has_answered_ |= status.ok();
+    since_.reset();
+    return false;
+  }
+  if (!has_answered_) return false;
+  const auto now = std::chrono::steady_clock::now();
+  if (!since_) {
+    since_ = now;
+    PrintWarning(status.message() + "; waiting for it for up to " + std::to_string(kAbsenceMax.count()) + " minutes");
+  }
+  return now - *since_ < kAbsenceMax && client->Pause(kAskAgain).ok();
 }
 
 Status CheckJobId(const std::string& job_id) {

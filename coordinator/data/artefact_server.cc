@@ -21,6 +21,7 @@ constexpr std::ptrdiff_t kUploadsOfUserMax = 256;
 constexpr std::int64_t kUploadIdleMsMax = 3'600'000;
 constexpr std::uint64_t kBytesCheckedMax = std::uint64_t{1} << 30;
 constexpr std::int64_t kForgetIntervalMs = 10'000;
+constexpr std::int64_t kCountIntervalMs = 500;
 
 std::int64_t NowMs() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count();
@@ -67,13 +68,24 @@ ArtefactServer::~ArtefactServer() {
   }
 }
 
+ChannelCounters ArtefactServer::counters() const {
+  const std::lock_guard lock(counters_mutex_);
+  return counters_;
+}
+
 void ArtefactServer::Serve() {
-  std::int64_t next_forget_ms = 0;
+  std::int64_t next_forget_ms = 0, next_count_ms = 0;
   while (!stop_) {
     const auto incoming = channel_->Poll(std::chrono::milliseconds(500));
-    if (const std::int64_t now_ms = NowMs(); now_ms >= next_forget_ms) {
+    const std::int64_t now_ms = NowMs();
+    if (now_ms >= next_forget_ms) {
       ForgetOldUploads(now_ms);
       next_forget_ms = now_ms + kForgetIntervalMs;
+    }
+    if (now_ms >= next_count_ms) {
+      const std::lock_guard lock(counters_mutex_);
+      counters_ = channel_->counters();
+      next_count_ms = now_ms + kCountIntervalMs;
     }
     if (!incoming) continue;
     Payload payload;

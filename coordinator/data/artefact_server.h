@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -37,6 +38,8 @@ class ArtefactServer {
   // Bytes of artefacts handed out and taken in so far.
   std::uint64_t bytes_sent() const { return bytes_sent_; }
   std::uint64_t bytes_received() const { return bytes_received_; }
+  // Of its socket, as they were a moment ago. From any thread.
+  ChannelCounters counters() const;
 
  private:
   // What has arrived of an artefact, from whomever: who was cut off goes on over another connection, and two who computed the same task
@@ -68,6 +71,8 @@ class ArtefactServer {
   std::map<std::string, Upload> uploads_;      // By digest.
   std::atomic<std::uint64_t> store_bytes_{0};  // As known here: counted at the start and by sweeps, and what came in since.
   std::atomic<bool> stop_{false};
+  mutable std::mutex counters_mutex_;
+  ChannelCounters counters_;
   std::atomic<std::uint64_t> bytes_sent_{0};
   std::atomic<std::uint64_t> bytes_received_{0};
   std::thread thread_;

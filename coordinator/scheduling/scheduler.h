@@ -85,6 +85,9 @@ class Scheduler {
   const v1::TaskResult* FindResult(const std::string& task_key) const;
   // Whether any attempt is out with a worker and leased.
   bool has_running() const { return !lease_ends_.empty(); }
+  // Leases that ended without a result since this object was made: no progress, the worker gone, or the
+  // task handed back.
+  std::uint64_t leases_lost() const { return leases_lost_; }
 
  private:
   using JobNumber = std::uint64_t;  // Order of submission.
@@ -280,6 +283,7 @@ class Scheduler {
   SchedulerOptions options_;
   TimeMs now_ms_ = 0;
   bool restoring_ = true;
+  std::uint64_t leases_lost_ = 0;
   std::vector<Effect> effects_;
 
   std::map<JobNumber, Job> jobs_;

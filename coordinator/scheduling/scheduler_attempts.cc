@@ -100,6 +100,7 @@ void Scheduler::OnFailure(TaskIndex index, const TaskDoneEvent& event) {
 
 void Scheduler::Lose(TaskIndex index, std::uint32_t attempt, bool counts, const std::string& reason) {
   if (FindLease(index, attempt) == nullptr) return;
+  leases_lost_ += counts ? 1 : 0;
   const bool was_last = EndLease(index, attempt);
   const Task& task = tasks_[index];
   const std::uint32_t losses = counts ? ++TroubleOf(index).losses : 0;

@@ -1,9 +1,11 @@
 // Question: how fast do artefacts travel through a coordinator's data lane over loopback, beside a plain copy of the files and a bare
-// ZeroMQ push of the same bytes? Prints GB/s of each, and the CPU time that a gigabyte
-// takes: the best of some rounds.
+// ZeroMQ push of the same bytes, and what does encryption (CURVE, which every address beyond this machine takes) add? Prints GB/s of each,
+// and the CPU time that a gigabyte takes: the best of some rounds.
 //
 // Budget: every byte is digested once, at the receiver, copied into and out of a socket, and written once, as the plain copy does. The
-// checksums of the chunks cost a tenth of the digest. So fetching costs about what digest, push and copy cost together.
+// checksums of the chunks cost a tenth of the digest. So fetching costs about what digest, push and copy cost together. With CURVE every
+// byte is encrypted and authenticated at one end and that undone at the other (XSalsa20-Poly1305, in libsodium): about a gigabyte a
+// second and core each.
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <time.h>
@@ -62,6 +64,47 @@ struct Cost {
   double seconds = 1e9, cpu = 1e9, served = 1e9;
 };
 
+// A coordinator on the store in `base`, with keys or without.
+class Lane {
+ public:
+  Lane(const fs::path& base, bool with_keys) : name_(with_keys ? "curve" : "plain"), store_((base / "store").string()) {
+    const fs::path ready = base / ("ready-" + name_), keys = base / "keys";
+    std::vector<std::string> argv = {testing::BinaryPath("trem-coordinator").string(),
+                                     "--state",
+                                     (base / name_).string(),
+                                     "--store",
+                                     store_,
+                                     "--bind",
+                                     "tcp://127.0.0.1:*",
+                                     "--ready-file",
+                                     ready.string(),
+                                     "--log-level",
+                                     "error"};
+    if (with_keys) {
+      for (const char* role : {"coordinator", "worker"}) {
+        const auto made = testing::RunProgram({testing::BinaryPath("trem").string(), "keys", role, "--role", role, "-o", keys.string()},
+                                              std::chrono::minutes(1));
+        TREM_CHECK_MSG(made.exit_code == 0, made.stderr_text);
+      }
+      argv.insert(argv.end(), {"--key", (keys / "coordinator.key").string(), "--allow", keys.string()});
+      auto options = ChannelOptionsOf((keys / "worker.key").string(), (keys / "coordinator.pub").string());
+      TREM_CHECK_MSG(options.ok(), options.status().ToString());
+      options_ = *std::move(options);
+    }
+    process_ = std::make_unique<testing::Subprocess>(argv);
+    for (int i = 0; i < 1000 && !fs::exists(ready); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    endpoint_ = FirstLine(testing::FileContents(ready));
+  }
+  void MeasureBothWays(const std::vector<ArtefactRef>& refs, const ArtefactStore& store, const fs::path& cache_folder);
+  void Print(double gigabytes) const;
+
+ private:
+  std::string name_, store_, endpoint_;
+  ChannelOptions options_;
+  std::unique_ptr<testing::Subprocess> process_;
+  Cost fetch_, deliver_;
+};
+
 template <typename Work>
 void Measure(Cost* least, pid_t coordinator, Work work) {
   const double cpu = CpuSeconds(), served = CpuSecondsOf(coordinator);
@@ -79,6 +122,30 @@ void Print(const char* what, const Cost& cost, double gigabytes, bool is_served)
 }
 
 void Check(const Status& status) { TREM_CHECK_MSG(status.ok(), status.ToString()); }
+
+// Fetches all of them into a new cache, and delivers them from there to a store that has lost them.
+void Lane::MeasureBothWays(const std::vector<ArtefactRef>& refs, const ArtefactStore& store, const fs::path& cache_folder) {
+  const auto channel = std::make_shared<ArtefactChannel>(endpoint_, options_);
+  const auto cache = ArtefactStore::OpenCache(cache_folder, channel);
+  Check(cache.status());
+  std::vector<fs::path> fetched;
+  Measure(&fetch_, process_->pid(), [&] {
+    for (const ArtefactRef& ref : refs) fetched.push_back(cache->Locate(ref).value());
+  });
+  for (const ArtefactRef& ref : refs) fs::remove(store.Locate(ref).value());
+  Measure(&deliver_, process_->pid(), [&] {
+    for (std::size_t i = 0; i < refs.size(); ++i) Check(channel->Deliver(refs[i], fetched[i]));
+  });
+  fs::remove_all(cache_folder);
+}
+
+void Lane::Print(double gigabytes) const {
+  const bool with_keys = options_.own_key.has_value();
+  ::trem::Print(with_keys ? "fetched, verified, synced; over CURVE" : "fetched from the data lane, verified, synced", fetch_, gigabytes,
+                true);
+  ::trem::Print(with_keys ? "delivered, verified, synced; over CURVE" : "delivered to the data lane, verified, synced", deliver_, gigabytes,
+                true);
+}
 
 void PushOverZeroMq(const std::vector<std::string>& blocks) {
   zmq::context_t context(1);
@@ -138,42 +205,27 @@ int main(int argc, char** argv) {
     blocks.push_back(std::move(block));
   }
   const double gigabytes = static_cast<double>(count) * mebibytes * (1 << 20) / 1e9;
-  const fs::path ready = base / "ready";
-  const testing::Subprocess coordinator({testing::BinaryPath("trem-coordinator").string(), "--state", folder + "/state", "--store",
-                                         folder + "/store", "--bind", "tcp://127.0.0.1:*", "--ready-file", ready.string(), "--log-level",
-                                         "warn"});
-  for (int i = 0; i < 1000 && !fs::exists(ready); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  const std::string endpoint = FirstLine(testing::FileContents(ready));
+  Lane plain(base, false), curve(base, true);
   std::printf("%d artefacts of %d MiB\n", count, mebibytes);
-  Cost digest, copy, push, fetch, deliver;
+  Cost digest, copy, push;
   for (int round = 0; round < rounds; ++round) {
-    Measure(&digest, coordinator.pid(), [&] {
+    Measure(&digest, ::getpid(), [&] {
       for (const std::string& block : blocks) (void)Sha256Hex(block);
     });
-    Measure(&copy, coordinator.pid(), [&] {
+    Measure(&copy, ::getpid(), [&] {
       for (const ArtefactRef& ref : refs) Check(CopyFileAtomically(store->Locate(ref).value(), base / "copies" / ref.sha256));
     });
     // Removed before others write: pages that the system has at hand are cheaper than those that it has to find.
     for (const fs::directory_entry& file : fs::directory_iterator(base / "copies")) fs::remove(file.path());
-    Measure(&push, coordinator.pid(), [&] { PushOverZeroMq(blocks); });
-    const auto channel = std::make_shared<ArtefactChannel>(endpoint, ChannelOptions{});
-    const auto cache = ArtefactStore::OpenCache(base / "cache", channel);
-    Check(cache.status());
-    std::vector<fs::path> fetched;
-    Measure(&fetch, coordinator.pid(), [&] {
-      for (const ArtefactRef& ref : refs) fetched.push_back(cache->Locate(ref).value());
-    });
-    for (const ArtefactRef& ref : refs) fs::remove(store->Locate(ref).value());
-    Measure(&deliver, coordinator.pid(), [&] {
-      for (std::size_t i = 0; i < refs.size(); ++i) Check(channel->Deliver(refs[i], fetched[i]));
-    });
-    fs::remove_all(base / "cache");
+    Measure(&push, ::getpid(), [&] { PushOverZeroMq(blocks); });
+    plain.MeasureBothWays(refs, *store, base / "cache");
+    curve.MeasureBothWays(refs, *store, base / "cache");
   }
   Print("SHA-256 in memory", digest, gigabytes, false);
   Print("plain copy of the files, each synced", copy, gigabytes, false);
   Print("ZeroMQ PUSH to PULL, the same bytes in memory", push, gigabytes, false);
-  Print("fetched from the data lane, verified, synced", fetch, gigabytes, true);
-  Print("delivered to the data lane, verified, synced", deliver, gigabytes, true);
+  plain.Print(gigabytes);
+  curve.Print(gigabytes);
   fs::remove_all(base);
   return 0;
 }

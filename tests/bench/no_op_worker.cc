@@ -46,6 +46,7 @@ int Serve(const std::string& coordinator, std::uint32_t windows) {
       [&](const trem::v1::TaskSpec& spec, const std::function<bool(double)>& progress) { return compute.Run(spec, progress); },
       stop_requested);
   channel_to_wake = nullptr;
+  if (!status.ok()) std::cerr << status.message() << "\n";
   return status.ok() ? 0 : 1;
 }
 

@@ -89,6 +89,8 @@ class Service {
  private:
   const Options& options_;
   std::unique_ptr<Subprocess> coordinator_;
+  // Until all of them have joined; one that ends (refused, because it is of another build than the coordinator) ends the bench.
+  static void AwaitWorkers(Client* client, const std::vector<std::unique_ptr<Subprocess>>& workers);
   // Submits jobs [first, end), waits until all that were ever submitted have ended, and returns how many tasks those have.
   static double RunJobs(Client* client, int first, int end);
   // The value of a metric without labels.
@@ -125,6 +127,21 @@ double Service::RunJobs(Client* client, int first, int end) {
   return static_cast<double>(done);
 }
 
+void Service::AwaitWorkers(Client* client, const std::vector<std::unique_ptr<Subprocess>>& workers) {
+  v1::Envelope question;
+  question.mutable_list_workers();
+  for (;;) {
+    const auto answer = client->Ask(question);
+    TREM_CHECK_MSG(answer.ok(), answer.status().ToString());
+    if (answer->worker_list().workers_size() == static_cast<int>(workers.size())) return;
+    for (const auto& worker : workers) {
+      TREM_CHECK_MSG(!worker->Wait(std::chrono::milliseconds(0)),
+                     "a worker ended: " + worker->Stderr() + "\nbuild no_op_worker and trem-coordinator from the same source");
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+  }
+}
+
 void Service::MeasureThroughput() const {
   Client client(endpoint_, std::chrono::seconds(30));
   std::vector<std::unique_ptr<Subprocess>> workers;
@@ -132,14 +149,7 @@ void Service::MeasureThroughput() const {
     workers.push_back(std::make_unique<Subprocess>(std::vector<std::string>{BinaryPath("no_op_worker").string(), "--coordinator", endpoint_,
                                                                             "--windows", std::to_string(options_.windows)}));
   }
-  v1::Envelope question;
-  question.mutable_list_workers();
-  for (;;) {
-    const auto answer = client.Ask(question);
-    TREM_CHECK_MSG(answer.ok(), answer.status().ToString());
-    if (answer->worker_list().workers_size() == options_.workers) break;
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-  }
+  AwaitWorkers(&client, workers);
   const auto workers_cpu = [&workers] {
     double seconds = 0.0;
     for (const auto& worker : workers) {

@@ -184,7 +184,10 @@ TEST_F(SecureServiceTest, CountsWhatItRefuses) {
   EXPECT_THAT(Say(as("client").get(), large)->error().message(), HasSubstr("at most 1048576 are accepted"));  // size
   EXPECT_EQ(Trem("stranger", {"list"}).exit_code, 4);                                                         // key
   EXPECT_EQ(Trem("", {"list"}).exit_code, 4);                                                                 // handshake
-  {
+  v1::Envelope where;
+  where.mutable_get_data_lane();
+  const std::string data_lane = Say(as("worker").get(), where)->data_lane().endpoint();
+  for (const std::string& endpoint : {endpoint_, data_lane}) {
     zmq::context_t context;
     zmq::socket_t socket(context, zmq::socket_type::dealer);
     socket.set(zmq::sockopt::linger, 0);
@@ -192,16 +195,19 @@ TEST_F(SecureServiceTest, CountsWhatItRefuses) {
     socket.set(zmq::sockopt::curve_publickey, key.public_key());
     socket.set(zmq::sockopt::curve_secretkey, key.secret_key());
     socket.set(zmq::sockopt::curve_serverkey, ReadPublicKey(Key("hill", ".pub")).value().public_key());
-    socket.connect(endpoint_);
+    socket.connect(endpoint);
     socket.send(zmq::buffer(std::string("TREM\x02\0\0\0", 8)), zmq::send_flags::sndmore);
     socket.send(zmq::buffer(std::string("\xff\xff no envelope")), zmq::send_flags::none);  // malformed
     zmq::message_t answer;
     EXPECT_TRUE(socket.recv(answer));
   }
-  const std::vector<std::string> counters = {"trem_connections_refused_total{reason=\"key\"}",
-                                             "trem_connections_refused_total{reason=\"handshake\"}",
-                                             "trem_messages_refused_total{reason=\"role\"}", "trem_messages_refused_total{reason=\"size\"}",
-                                             "trem_messages_refused_total{reason=\"malformed\"}"};
+  const std::vector<std::string> counters = {"trem_connections_refused_total{lane=\"control\",reason=\"key\"}",
+                                             "trem_connections_refused_total{lane=\"control\",reason=\"handshake\"}",
+                                             "trem_messages_refused_total{lane=\"control\",reason=\"role\"}",
+                                             "trem_messages_refused_total{lane=\"control\",reason=\"size\"}",
+                                             "trem_messages_refused_total{lane=\"control\",reason=\"malformed\"}",
+                                             "trem_messages_refused_total{lane=\"data\",reason=\"malformed\"}",
+                                             "trem_connections_closed_total{lane=\"control\"}"};
   std::string metrics;
   std::string missing = "all";
   for (int i = 0; i < 100 && !missing.empty(); ++i) {  // They follow once a second.

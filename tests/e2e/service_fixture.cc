@@ -12,7 +12,7 @@ void ServiceTest::Start(const std::vector<std::string>& more) {
                                    "--store",
                                    store_.string(),
                                    "--bind",
-                                   "tcp://127.0.0.1:*",
+                                   bind_,
                                    "--ready-file",
                                    ready_.string()};
   argv.insert(argv.end(), more.begin(), more.end());

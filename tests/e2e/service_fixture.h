@@ -26,6 +26,7 @@ class ServiceTest : public ::testing::Test {
   RunFixture fixture_;
   std::filesystem::path ready_ = fixture_.folder() / "ready";
   std::filesystem::path store_ = fixture_.folder() / "store";
+  std::string bind_ = "tcp://127.0.0.1:*";
   std::unique_ptr<Subprocess> coordinator_;
   std::string endpoint_;
 };

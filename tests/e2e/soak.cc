@@ -162,6 +162,11 @@ void Soak::Disturb(Disturbance kind) {
       Sleep(static_cast<int>(200 + rng_.UniformIndex(2'500)));
       worker.Signal(SIGCONT);
       return Count("worker stopped for a while");
+    case Disturbance::kStopCoordinator:
+      coordinator_->Signal(SIGSTOP);
+      Sleep(static_cast<int>(200 + rng_.UniformIndex(5'800)));
+      coordinator_->Signal(SIGCONT);
+      return Count("coordinator stopped for a while");
     case Disturbance::kDamageArtefact:
       return DamageAnArtefact();
     case Disturbance::kFillDisk:
@@ -176,10 +181,11 @@ void Soak::Disturb(Disturbance kind) {
 Soak::Disturbance Soak::NextDisturbance() {
   if (deck_.empty()) {
     // How often each comes in a round; a round holds every kind, so that a job that ends early has met all of them.
-    constexpr std::array<std::pair<Disturbance, int>, 7> kRound = {{{Disturbance::kKillWorker, 6},
+    constexpr std::array<std::pair<Disturbance, int>, 8> kRound = {{{Disturbance::kKillWorker, 6},
                                                                     {Disturbance::kKillCoordinator, 3},
                                                                     {Disturbance::kKillCompute, 2},
                                                                     {Disturbance::kStopWorker, 2},
+                                                                    {Disturbance::kStopCoordinator, 1},
                                                                     {Disturbance::kDamageArtefact, 2},
                                                                     {Disturbance::kFillDisk, 1},
                                                                     {Disturbance::kCutLink, 2}}};

@@ -26,8 +26,9 @@ struct SoakOptions {
 // A job on real processes while they are killed, stopped, starved and lied to.
 //
 // The job is run once in peace, then with `worker_count` workers while a driver, from its seed, kills workers, compute processes and the
-// coordinator with SIGKILL, stops and resumes workers, damages stored artefacts and, where a small file system can be mounted, fills the
-// disk that holds the log. What was killed is started again at once. When it has disturbed often enough, the job must end by itself.
+// coordinator with SIGKILL, stops and resumes workers and coordinator, damages stored artefacts and, where a small file system can be
+// mounted, fills the disk that holds the log. What was killed is started again at once. When it has disturbed often enough, the job must
+// end by itself.
 //
 // Where network namespaces can be made, every second worker lives in one, shares no store, and talks through a cable that is cut for up to
 // six seconds at a time; everybody then has keys. Otherwise all talk over a local socket.
@@ -50,7 +51,16 @@ class Soak {
   void StartCoordinator();
   void StartWorker(int index);
   Completed Trem(std::vector<std::string> arguments) const;
-  enum class Disturbance { kKillWorker, kKillCoordinator, kKillCompute, kStopWorker, kDamageArtefact, kFillDisk, kCutLink };
+  enum class Disturbance {
+    kKillWorker,
+    kKillCoordinator,
+    kKillCompute,
+    kStopWorker,
+    kStopCoordinator,
+    kDamageArtefact,
+    kFillDisk,
+    kCutLink
+  };
   Disturbance NextDisturbance();
   void Disturb(Disturbance kind);
   void DamageAnArtefact();

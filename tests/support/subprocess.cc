@@ -4,6 +4,7 @@
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/mman.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -42,7 +43,11 @@ std::string ReadCapture(int fd) {
 }
 
 // Only the calls that are safe between fork and exec.
-[[noreturn]] void RunChild(char* const* argv, char* const* environment, const char* folder, bool own_process_group, int out, int err) {
+[[noreturn]] void RunChild(char* const* argv, char* const* environment, const char* folder, bool own_process_group, int out, int err,
+                           pid_t parent) {
+  // A test or bench that is ended by a time limit leaves nothing behind.
+  ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (::getppid() != parent) ::_exit(127);
   if (own_process_group) ::setpgid(0, 0);
   const int null = ::open("/dev/null", O_RDONLY);
   ::dup2(null, STDIN_FILENO);
@@ -75,10 +80,12 @@ Subprocess::Subprocess(std::vector<std::string> argv, const SubprocessOptions& o
   stderr_fd_ = ::memfd_create("stderr", MFD_CLOEXEC);
   TREM_CHECK(stdout_fd_ >= 0 && stderr_fd_ >= 0);
   const std::string folder = options.folder.string();
+  const pid_t parent = ::getpid();
   pid_ = ::fork();
   TREM_CHECK_MSG(pid_ >= 0, std::strerror(errno));
   if (pid_ == 0) {
-    RunChild(argument_pointers.data(), environment_pointers.data(), folder.c_str(), options.own_process_group, stdout_fd_, stderr_fd_);
+    RunChild(argument_pointers.data(), environment_pointers.data(), folder.c_str(), options.own_process_group, stdout_fd_, stderr_fd_,
+             parent);
   }
 }
 

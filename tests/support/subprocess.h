@@ -23,7 +23,8 @@ struct Exit {
 };
 
 // A child process with captured output. The child and everything that it starts carry a unique environment variable, by which
-// descendants are found even after they were re-parented. The destructor kills what is left, so a failing test leaves nothing behind.
+// descendants are found even after they were re-parented. The destructor kills what is left, so a failing test leaves nothing behind;
+// neither does one that is killed: the child ends with the thread that started it.
 class Subprocess {
  public:
   // `argv[0]` is a path, or a name that is looked up in PATH.
