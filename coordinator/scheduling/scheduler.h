@@ -85,8 +85,8 @@ class Scheduler {
   const v1::TaskResult* FindResult(const std::string& task_key) const;
   // Whether any attempt is out with a worker and leased.
   bool has_running() const { return !lease_ends_.empty(); }
-  // Leases that ended without a result since this object was made: no progress, the worker gone, or the
-  // task handed back.
+  // Leases that ended without a result since this object was made: no progress, the worker gone, or the task
+  // handed back.
   std::uint64_t leases_lost() const { return leases_lost_; }
 
  private:

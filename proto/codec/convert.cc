@@ -93,8 +93,9 @@ v1::MosaicGridMessage ToProto(const MosaicGrid& grid) {
 
 Result<MosaicGrid> FromProto(const v1::MosaicGridMessage& message) {
   if (!std::isfinite(message.origin_x()) || !std::isfinite(message.origin_y())) return Corrupt("grid.origin is not finite");
-  if (!(message.gsd() > 0.0) || !std::isfinite(message.gsd()))
+  if (!(message.gsd() > 0.0) || !std::isfinite(message.gsd())) {
     return Corrupt("grid.gsd is " + std::to_string(message.gsd()) + "; expected > 0");
+  }
   if (message.width() < 1 || message.height() < 1 || message.width() > kMosaicSideMax || message.height() > kMosaicSideMax) {
     return Corrupt("grid is " + std::to_string(message.width()) + " x " + std::to_string(message.height()) + " pixels; expected 1.." +
                    std::to_string(kMosaicSideMax) + " a side");

@@ -9,12 +9,12 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
-#include <zmq.hpp>
 
 #include "mosaic/base/version.h"
 #include "mosaic/base/wall_clock.h"
 #include "proto/channel/dealer_channel.h"
 #include "proto/channel/router_channel.h"
+#include "tests/e2e/later_coordinator.h"
 #include "tests/e2e/service_fixture.h"
 
 namespace trem::testing {
@@ -206,27 +206,9 @@ TEST_F(DoctorTest, TellsOfACoordinatorsClockAndDisk) {
 }
 
 TEST_F(DoctorTest, TellsOfAnotherProtocolVersion) {
-  zmq::context_t context;
-  zmq::socket_t router(context, zmq::socket_type::router);
-  router.bind("tcp://127.0.0.1:*");
-  endpoint_ = router.get(zmq::sockopt::last_endpoint);
-  std::atomic<bool> stop{false};
-  router.set(zmq::sockopt::rcvtimeo, 20);
-  std::thread coordinator([&] {
-    while (!stop) {
-      zmq::message_t peer, frame;
-      if (!router.recv(peer)) continue;
-      do {
-        (void)!router.recv(frame);
-      } while (frame.more());
-      router.send(peer, zmq::send_flags::sndmore);
-      router.send(zmq::buffer(std::string("TREM\x09\0\0\0", 8)), zmq::send_flags::sndmore);
-      router.send(zmq::message_t(), zmq::send_flags::none);
-    }
-  });
+  const LaterCoordinator later;
+  endpoint_ = later.endpoint();
   const auto findings = Findings();
-  stop = true;
-  coordinator.join();
   ExpectBad(findings, "coordinator", "speaks protocol version 9, this program version 2; install the same release of trem on both sides",
             "");
 }
