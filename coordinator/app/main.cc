@@ -288,7 +288,13 @@ Status Serve(const ArtefactServer* data_lane, StoreKeeper* keeper, RouterChannel
         channel->Send(incoming->peer, DataLaneAnswer(data_lane));
       } else if (admitted.ok()) {
         shell->Receive(arrived_ms, incoming->peer, *incoming->envelope);
-      } else if (gate->MayAnswer(arrived_ms, incoming->peer)) {
+      } else if (!gate->MayAnswer(arrived_ms, incoming->peer)) {
+        continue;
+      } else if (incoming->other_release && MaySend(incoming->role, v1::Envelope::kHello)) {
+        v1::Envelope hello;  // Refused by the shell, which remembers who it was.
+        *hello.mutable_hello() = *std::move(incoming->other_release);
+        shell->Receive(arrived_ms, incoming->peer, hello);
+      } else {
         shell->ReceiveBroken(incoming->peer, admitted);
       }
     }

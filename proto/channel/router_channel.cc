@@ -90,7 +90,10 @@ std::optional<RouterChannel::Incoming> RouterChannel::Poll(std::chrono::millisec
     incoming.user = entry->name;
     incoming.role = entry->role;
   }
-  if (message.frames.size() == kFrameCount) incoming.bytes = message.frames.back().size();
+  if (message.frames.size() == kFrameCount) {
+    incoming.bytes = message.frames.back().size();
+    incoming.other_release = ReadHelloOfOtherProtocol(message.frames[1], message.frames[2], state_->options.limits);
+  }
   incoming.envelope = DecodeMessage(std::move(message), kFrameCount, state_->options.limits, &incoming.payload);
   if (!incoming.envelope.ok()) ++state_->counters.garbage;
   return incoming;

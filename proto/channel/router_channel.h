@@ -56,6 +56,8 @@ class RouterChannel {
     v1::Role role = v1::ROLE_UNSPECIFIED;
     std::size_t bytes = 0;  // Of the body.
     Payload payload{};      // Of a PutChunk.
+    // When `envelope` is refused because of its protocol version, and it was a worker's Hello: what that worker says of itself.
+    std::optional<v1::Hello> other_release{};
   };
 
   // Binds to ipc://PATH (a socket that only this user can connect to), tcp://127.x.y.z:PORT or tcp://127.x.y.z:* (any free port), and

@@ -37,6 +37,10 @@ EnvelopeFrames EncodeEnvelope(const v1::Envelope& envelope);
 // Errors: kInvalidInput for a peer of another protocol version (the message names both versions); kCorrupt for all other garbage.
 Result<v1::Envelope> DecodeEnvelope(std::string_view header, std::string_view body, const EnvelopeLimits& limits = {});
 
+// What a worker of another protocol version said of itself, with that version, as far as this program can read it: enough to name the
+// worker that was refused. Nullopt for whatever else DecodeEnvelope refuses, and for what it takes.
+std::optional<v1::Hello> ReadHelloOfOtherProtocol(std::string_view header, std::string_view body, const EnvelopeLimits& limits = {});
+
 // The one validator of what peers say: exactly one body; identifiers, digests, enumerations and numbers in range. DecodeEnvelope has
 // applied it already. A Sortie inside is checked for its presence only: CompleteSortie checks its values. Errors are kCorrupt.
 Status ValidateEnvelope(const v1::Envelope& envelope);

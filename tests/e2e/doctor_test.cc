@@ -9,6 +9,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
+#include <zmq.hpp>
 
 #include "mosaic/base/version.h"
 #include "mosaic/base/wall_clock.h"
@@ -127,6 +128,32 @@ TEST_F(DoctorTest, TellsOfAFleetThatIsNotThereOrTakesNothing) {
   ASSERT_EQ(Trem({"drain", id}).exit_code, 0);
   ExpectBad(Findings(), "workers", "the only one is draining", "start new ones");
   worker->Signal(SIGKILL);
+}
+
+// Its messages are refused by their header; what it says of itself is read all the same.
+TEST_F(DoctorTest, TellsOfAWorkerOfAnotherProtocol) {
+  Start();
+  v1::Envelope envelope;
+  v1::Hello* hello = envelope.mutable_hello();
+  hello->set_protocol_version(1);
+  hello->set_worker_id("older-1");
+  hello->set_host("node-8");
+  hello->set_engine_revision("ancient");
+  hello->set_credit(1);
+  zmq::context_t context;
+  zmq::socket_t socket(context, zmq::socket_type::dealer);
+  socket.set(zmq::sockopt::linger, 0);
+  socket.set(zmq::sockopt::rcvtimeo, 20'000);
+  socket.connect(endpoint_);
+  socket.send(zmq::buffer(std::string("TREM\x01\0\0\0", 8)), zmq::send_flags::sndmore);
+  socket.send(zmq::buffer(envelope.SerializeAsString()), zmq::send_flags::none);
+  zmq::message_t header;
+  ASSERT_TRUE(socket.recv(header));
+  const std::string both = "worker older-1 speaks protocol version 1; this coordinator speaks version " + std::to_string(kProtocolVersion);
+  ExpectBad(Findings(), "refused worker", "on node-8: " + both, "install the coordinator's release there");
+  EXPECT_THAT(coordinator_->Stderr(), HasSubstr(both));
+  // A refused worker is none.
+  EXPECT_EQ(nlohmann::json::parse(Trem({"workers", "--json"}).stdout_text).size(), 0U);
 }
 
 TEST_F(DoctorTest, TellsOfWorkersOfAnotherReleaseAndOtherClocks) {

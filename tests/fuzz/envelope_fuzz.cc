@@ -13,6 +13,8 @@ namespace {
 
 void Decode(std::string_view header, std::string_view body) {
   const auto decoded = trem::DecodeEnvelope(header, body);
+  const auto other = trem::ReadHelloOfOtherProtocol(header, body);
+  TREM_CHECK(!other || (!decoded.ok() && trem::IsWorkerId(other->worker_id())));
   if (!decoded.ok()) return;
   const bool fits = trem::ValidatePayload(*decoded, body.size()).ok();
   TREM_CHECK(!fits || (trem::CarriesPayload(*decoded) && !trem::ValidatePayload(*decoded, std::nullopt).ok()));
@@ -27,5 +29,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const std::string_view bytes(reinterpret_cast<const char*>(data), size);
   Decode(bytes.substr(0, trem::kEnvelopeHeaderBytes), bytes.substr(std::min(size, trem::kEnvelopeHeaderBytes)));
   Decode(std::string_view("TREM\x02\0\0\0", 8), bytes);
+  Decode(std::string_view("TREM\x01\0\0\0", 8), bytes);
   return 0;
 }

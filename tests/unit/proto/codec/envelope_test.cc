@@ -151,6 +151,26 @@ TEST(Envelope, RefusesAnotherProtocolVersionInWords) {
             "invalid input: the peer speaks protocol version 258, this program version 2; install the same release of trem on both sides");
 }
 
+TEST(Envelope, ReadsTheHelloOfAnotherProtocolAndNothingElse) {
+  EnvelopeFrames frames = EncodeEnvelope(SomeHello());
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header, frames.body).has_value()) << "it is of this protocol";
+  frames.header[4] = 1;
+  const auto hello = ReadHelloOfOtherProtocol(frames.header, frames.body);
+  ASSERT_TRUE(hello.has_value());
+  EXPECT_EQ(hello->worker_id(), "host-1-22");
+  EXPECT_EQ(hello->protocol_version(), 1U);
+  EXPECT_FALSE(ReadHelloOfOtherProtocol("MERT" + frames.header.substr(4), frames.body).has_value());
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header.substr(0, 7), frames.body).has_value());
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header, frames.body.substr(0, frames.body.size() - 1)).has_value());
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header, EncodeEnvelope(SomeDone()).body).has_value());
+  EnvelopeLimits limits;
+  limits.body_bytes_max = frames.body.size() - 1;
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header, frames.body, limits).has_value());
+  v1::Envelope bad = SomeHello();
+  bad.mutable_hello()->set_worker_id("Of no such form");
+  EXPECT_FALSE(ReadHelloOfOtherProtocol(frames.header, bad.SerializeAsString()).has_value());
+}
+
 TEST(Envelope, RefusesHeadersThatAreNotItsOwn) {
   const std::string body = EncodeEnvelope(SomeDone()).body;
   for (const std::string& header :
