@@ -208,8 +208,11 @@ std::string Soak::StateOfJob() {
   const auto json = nlohmann::json::parse(status.stdout_text, nullptr, false);
   if (json.is_discarded()) return "";
   task_count_ = 0;
+  progress_.clear();
   for (const auto& stage : json["stages"]) {
-    task_count_ += stage["total"].get<int>();
+    const int total = stage["total"].get<int>();
+    task_count_ += total;
+    progress_ += ", " + stage["kind"].get<std::string>() + " " + std::to_string(stage["done"].get<int>()) + "/" + std::to_string(total);
     is_exporting_ = stage["kind"] == "export" && stage["running"].get<int>() + stage["done"].get<int>() > 0;
   }
   return json["state"];
@@ -241,12 +244,42 @@ bool Soak::AwaitWorkers(std::chrono::seconds patience) const {
   return false;
 }
 
+int Soak::kill_count() const {
+  int kills = 0;
+  for (const auto& [what, count] : counts_) kills += what.ends_with(" killed") ? count : 0;
+  return kills;
+}
+
+bool Soak::IsEnough(int disturbances) const {
+  return options_.kill_count > 0 ? kill_count() >= options_.kill_count : disturbances >= options_.disturbance_count;
+}
+
+void Soak::TellProgress() {
+  if (!options_.tell) return;
+  const auto elapsed = std::chrono::duration_cast<seconds>(std::chrono::steady_clock::now() - submitted_);
+  options_.tell(std::to_string(elapsed.count()) + " s, " + std::to_string(kill_count()) + " kills" + progress_);
+}
+
+void Soak::DisturbForLong() {
+  for (int disturbances = 0; !IsEnough(disturbances); ++disturbances) {
+    if (disturbances % 8 == 7) {
+      const std::string state = StateOfJob();
+      TellProgress();
+      if (!state.empty() && state != "running") break;
+    }
+    Sleep(options_.pause_ms_max / 8 + static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.pause_ms_max))));
+    Disturb(NextDisturbance());
+  }
+}
+
 std::vector<std::string> Soak::Run() {
   // The truth has room for a path of 150 px: many frames go slower.
   const std::string speed = std::to_string(std::min(1.0, 140.0 / options_.frame_count));
   const fs::path sortie = fixture_.SimulateSortie("sortie", options_.frame_count, {"--speed-px", speed}) / "sortie.textproto";
   const fs::path peace = fixture_.NewFolder("peace");
+  const auto begun = std::chrono::steady_clock::now();
   const Completed reference = fixture_.Run(RunFixture::RunArguments(sortie, peace / "town.tif", {"--workers", "2", "--quiet"}));
+  peaceful_time_ = std::chrono::duration_cast<milliseconds>(std::chrono::steady_clock::now() - begun);
   if (reference.exit_code != 0) return {"the undisturbed run failed: " + reference.stderr_text};
 
   StartCoordinator();
@@ -259,14 +292,15 @@ std::vector<std::string> Soak::Run() {
   }
   if (const Completed submitted = Trem(submit); submitted.exit_code != 0) return {"submit failed: " + submitted.stderr_text};
 
-  int disturbances = 0;
-  for (; disturbances < options_.disturbance_count; ++disturbances) {
-    if (disturbances % 8 == 7 && StateOfJob() == "done") break;
-    Sleep(options_.pause_ms_max / 8 + static_cast<int>(rng_.UniformIndex(static_cast<std::uint32_t>(options_.pause_ms_max))));
-    Disturb(NextDisturbance());
-  }
+  submitted_ = std::chrono::steady_clock::now();
+  DisturbForLong();
   std::vector<std::string> faults;
+  if (kill_count() < options_.kill_count) {
+    faults.push_back("the job ended after " + std::to_string(kill_count()) + " kills of " + std::to_string(options_.kill_count) +
+                     ": give it more frames, or shorter pauses");
+  }
   if (!AwaitEnd(seconds(600))) faults.push_back("the job does not end although nothing disturbs it any more");
+  disturbed_time_ = std::chrono::duration_cast<milliseconds>(std::chrono::steady_clock::now() - submitted_);
   if (const std::string state = StateOfJob(); state != "done") {
     faults.push_back("the job is " + state + ": " + Trem({"status", kJob}).stdout_text);
   }

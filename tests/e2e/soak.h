@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
@@ -21,6 +22,11 @@ struct SoakOptions {
   int worker_count = 4;
   int disturbance_count = 80;
   int pause_ms_max = 800;  // Between two disturbances; the least is an eighth of it.
+  // Goes on disturbing, however often, until so many processes were killed; a job that ends before that is a fault. 0: as often as
+  // disturbance_count says, or until the job ends.
+  int kill_count = 0;
+  // Told now and then how far it is. May be empty.
+  std::function<void(const std::string&)> tell;
 };
 
 // A job on real processes while they are killed, stopped, starved and lied to.
@@ -43,6 +49,11 @@ class Soak {
   // How often each disturbance happened.
   const std::map<std::string, int>& counts() const { return counts_; }
   int task_count() const { return task_count_; }
+  // How many processes were killed: workers, compute processes, coordinators.
+  int kill_count() const;
+  // From the submission to the job's end, and to its end in peace by two workers.
+  std::chrono::milliseconds disturbed_time() const { return disturbed_time_; }
+  std::chrono::milliseconds peaceful_time() const { return peaceful_time_; }
   bool can_fill_disk() const { return can_fill_disk_; }
   // Why no link is cut; empty: links are cut.
   const std::string& why_no_link() const { return why_no_link_; }
@@ -62,6 +73,9 @@ class Soak {
     kCutLink
   };
   Disturbance NextDisturbance();
+  bool IsEnough(int disturbances) const;
+  void DisturbForLong();
+  void TellProgress();
   void Disturb(Disturbance kind);
   void DamageAnArtefact();
   void FillTheDisk();
@@ -87,6 +101,10 @@ class Soak {
   std::map<std::string, int> counts_;
   std::vector<Disturbance> deck_;  // What is left of this round; taken from the back.
   int task_count_ = 0;
+  std::string progress_;  // What is done of each stage, as StateOfJob heard it last.
+  std::chrono::steady_clock::time_point submitted_{};
+  std::chrono::milliseconds disturbed_time_{0};
+  std::chrono::milliseconds peaceful_time_{0};
   bool is_exporting_ = false;
 };
 
