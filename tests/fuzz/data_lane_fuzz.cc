@@ -24,6 +24,7 @@ namespace fs = std::filesystem;
 
 constexpr int kMessagesMax = 8;       // Fewer than the lane lets wait.
 constexpr int kInputsAServer = 2000;  // Then a new folder begins: what was stored would fill the disk.
+constexpr int kSilencesMax = 12;
 constexpr std::size_t kChunkBytesTooMany = (std::size_t{4} << 20) + 1;
 
 // Numbers and bytes off the input, zeros behind its end.
@@ -55,7 +56,7 @@ struct Lane {
 
   Lane() {
     socket.set(zmq::sockopt::linger, 0);
-    socket.set(zmq::sockopt::rcvtimeo, 20'000);
+    socket.set(zmq::sockopt::rcvtimeo, 5'000);
     socket.connect(server->endpoint());
   }
   ~Lane() {
@@ -128,11 +129,16 @@ std::vector<std::string> MakeMessage(Input* input, std::string* sha256) {
   }
 }
 
-// Takes what the lane answers, up to the answer to a question about `last`.
-void TakeAnswers(Lane* lane, const std::string& last) {
-  for (;;) {
+// Asks, and takes what the lane answers up to the answer to that. Asks again after a silence, as all who use the lane do.
+void Ask(Lane* lane, const std::vector<std::string>& question, const std::string& sha256) {
+  lane->Send(question);
+  for (int silences = 0;;) {
     std::vector<zmq::message_t> frames(1);
-    TREM_CHECK_MSG(lane->socket.recv(frames.back()).has_value(), "a valid question is not answered any more");
+    if (!lane->socket.recv(frames.back())) {
+      TREM_CHECK_MSG(++silences < kSilencesMax, "a valid question is not answered any more");
+      lane->Send(question);
+      continue;
+    }
     while (frames.back().more()) TREM_CHECK(lane->socket.recv(frames.emplace_back()).has_value());
     TREM_CHECK(frames.size() == 2 || frames.size() == 3);
     const auto answer = trem::DecodeEnvelope(frames[0].to_string_view(), frames[1].to_string_view());
@@ -146,7 +152,7 @@ void TakeAnswers(Lane* lane, const std::string& last) {
       const auto bytes = trem::ReadFile(*object, 1 << 20);
       TREM_CHECK_MSG(bytes.ok() && trem::Sha256Hex(*bytes) == answer->put_reply().sha256(), "what is stored has another digest");
     }
-    if (answer->put_reply().sha256() == last) return;
+    if (answer->put_reply().sha256() == sha256) return;
   }
 }
 
@@ -165,7 +171,6 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   question.mutable_put_chunk()->set_sha256(trem::Sha256Hex("question " + std::to_string(count)));
   question.mutable_put_chunk()->set_bytes(1 << 20);
   question.mutable_put_chunk()->set_data_xxh3(trem::Xxh3(""));
-  lane->Send({Header(), trem::EncodeEnvelope(question).body, ""});
-  TakeAnswers(lane.get(), question.put_chunk().sha256());
+  Ask(lane.get(), {Header(), trem::EncodeEnvelope(question).body, ""}, question.put_chunk().sha256());
   return 0;
 }
