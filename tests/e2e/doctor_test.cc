@@ -9,12 +9,12 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <thread>
-#include <zmq.hpp>
 
 #include "mosaic/base/version.h"
 #include "mosaic/base/wall_clock.h"
 #include "proto/channel/dealer_channel.h"
 #include "proto/channel/router_channel.h"
+#include "tests/e2e/earlier_peer.h"
 #include "tests/e2e/later_coordinator.h"
 #include "tests/e2e/service_fixture.h"
 
@@ -140,15 +140,7 @@ TEST_F(DoctorTest, TellsOfAWorkerOfAnotherProtocol) {
   hello->set_host("node-8");
   hello->set_engine_revision("ancient");
   hello->set_credit(1);
-  zmq::context_t context;
-  zmq::socket_t socket(context, zmq::socket_type::dealer);
-  socket.set(zmq::sockopt::linger, 0);
-  socket.set(zmq::sockopt::rcvtimeo, 20'000);
-  socket.connect(endpoint_);
-  socket.send(zmq::buffer(std::string("TREM\x01\0\0\0", 8)), zmq::send_flags::sndmore);
-  socket.send(zmq::buffer(envelope.SerializeAsString()), zmq::send_flags::none);
-  zmq::message_t header;
-  ASSERT_TRUE(socket.recv(header));
+  ASSERT_NE(AskInEarlierProtocol(endpoint_, envelope.SerializeAsString()), "");
   const std::string both = "worker older-1 speaks protocol version 1; this coordinator speaks version " + std::to_string(kProtocolVersion);
   ExpectBad(Findings(), "refused worker", "on node-8: " + both, "install the coordinator's release there");
   EXPECT_THAT(coordinator_->Stderr(), HasSubstr(both));

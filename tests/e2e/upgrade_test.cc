@@ -7,10 +7,10 @@
 #include <sqlite3.h>
 
 #include <thread>
-#include <zmq.hpp>
 
 #include "mosaic/base/version.h"
 #include "proto/channel/dealer_channel.h"
+#include "tests/e2e/earlier_peer.h"
 #include "tests/e2e/later_coordinator.h"
 #include "tests/e2e/service_fixture.h"
 
@@ -141,17 +141,9 @@ TEST_F(UpgradeTest, ClientAndWorkerSayThatACoordinatorIsOfAnotherRelease) {
 // An older program sends an older header, and reads the answer's.
 TEST_F(UpgradeTest, APeerOfAnEarlierProtocolIsAnsweredWithTheVersionThatIsSpoken) {
   Start();
-  zmq::context_t context;
-  zmq::socket_t socket(context, zmq::socket_type::dealer);
-  socket.set(zmq::sockopt::linger, 0);
-  socket.set(zmq::sockopt::rcvtimeo, 20'000);
-  socket.connect(endpoint_);
-  socket.send(zmq::buffer(std::string("TREM\x01\0\0\0", 8)), zmq::send_flags::sndmore);
-  socket.send(zmq::message_t(), zmq::send_flags::none);
-  zmq::message_t header;
-  ASSERT_TRUE(socket.recv(header));
+  const std::string header = AskInEarlierProtocol(endpoint_, "");
   ASSERT_EQ(header.size(), 8U);
-  EXPECT_EQ(header.to_string().substr(0, 5), "TREM" + std::string(1, static_cast<char>(kProtocolVersion)));
+  EXPECT_EQ(header.substr(0, 5), "TREM" + std::string(1, static_cast<char>(kProtocolVersion)));
   for (int i = 0; i < 500 && coordinator_->Stderr().find("protocol version 1") == std::string::npos; ++i)
     std::this_thread::sleep_for(milliseconds(20));
   EXPECT_THAT(coordinator_->Stderr(), HasSubstr("the peer speaks protocol version 1, this program version 2"));
