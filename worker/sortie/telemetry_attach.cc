@@ -41,6 +41,8 @@ class Attacher {
     for (int i = 0; i < manifest_.frames_size(); ++i) {
       v1::ManifestFrame& frame = *manifest_.mutable_frames(i);
       const double time_s = frame.time_s() + zero_s_;
+      const std::optional<std::int64_t> utc_us = found_.utc.At(time_s);
+      if (utc_us.has_value()) frame.set_utc_us(*utc_us);
       std::optional<TrackPose> pose = track_.At(time_s);
       if (pose.has_value()) {
         if (!pointing_errors_px_.empty()) {

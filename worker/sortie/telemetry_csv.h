@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -34,7 +35,8 @@ struct TelemetryRow {
   int line = 0;       // Of the file, counted from 1.
   std::string frame;  // File name or frame index.
   std::optional<double> time_s;
-  std::optional<TelemetryPose> pose;  // Absent when a cell of it is empty.
+  std::optional<std::int64_t> utc_us;  // Of an image that says when it was taken, whatever time_s counts from.
+  std::optional<TelemetryPose> pose;   // Absent when a cell of it is empty.
   std::optional<TelemetryCorners> corners;
   std::optional<double> ground_elevation_m;
 };

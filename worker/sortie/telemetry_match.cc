@@ -9,6 +9,7 @@
 
 #include "worker/sortie/frame_source.h"
 #include "worker/sortie/image_sequence_reader.h"
+#include "worker/telemetry/utc_clock.h"
 
 namespace trem {
 namespace {
@@ -100,6 +101,19 @@ class Matcher {
     NoteBackwardTimes();
   }
 
+  // Times of rows that count from 1970, and of images that tell themselves when they were taken.
+  void SetUtc() {
+    for (int i = 0; i < manifest_.frames_size(); ++i) {
+      v1::ManifestFrame* frame = manifest_.mutable_frames(i);
+      const TelemetryRow* row = Row(i);
+      std::optional<double> time_s = row != nullptr ? row->time_s : std::nullopt;
+      // Those of images are interpolated.
+      if (manifest_.source_kind() == v1::IMAGE_SEQUENCE) time_s = frame->time_s();
+      const std::optional<std::int64_t> utc_us = row != nullptr && row->utc_us.has_value() ? row->utc_us : UtcOf(time_s);
+      if (utc_us.has_value()) frame->set_utc_us(*utc_us);
+    }
+  }
+
   void SetPoses() {
     int interpolated = 0;
     int last_pose = -1;
@@ -158,6 +172,11 @@ class Matcher {
 
  private:
   using Between = void (Matcher::*)(int a, int b, int i, double t);
+
+  static std::optional<std::int64_t> UtcOf(std::optional<double> unix_s) {
+    if (!unix_s.has_value() || !(1e6 * std::abs(*unix_s) <= static_cast<double>(kUtcMost_us))) return std::nullopt;
+    return PlausibleUtc(std::llround(1e6 * *unix_s));
+  }
 
   const TelemetryRow* Row(int i) const { return row_of_frame_[static_cast<std::size_t>(i)]; }
   void Note(v1::Severity severity, const std::string& code, const std::string& message) {
@@ -340,6 +359,7 @@ Status AttachTelemetry(const TelemetryTable& table, const std::string& path, con
   Matcher matcher(table, path, manifest);
   TREM_RETURN_IF_ERROR(matcher.Match());
   matcher.SetTimes();
+  matcher.SetUtc();
   matcher.SetPoses();
   matcher.SetGroundElevation(spec);
   manifest->set_telemetry_source(v1::TELEMETRY_CSV);

@@ -92,6 +92,7 @@ class Finder {
       TREM_ASSIGN_OR_RETURN(surface, GroundAround(sortie_.telemetry().dem_path(), records));
       options.surface = &*surface;
     }
+    found_.utc = UtcClock(records);
     Judge(AuditTelemetry(records, options), source, path, &found_);
     return {};
   }
@@ -147,6 +148,7 @@ class Finder {
       row.line = static_cast<int>(number) + 1;
       row.frame = photos->names[number];
       if (!photos->times_s.empty()) row.time_s = photos->times_s[number];
+      if (photos->records[number].utc_us.has_value()) row.utc_us = PlausibleUtc(*photos->records[number].utc_us);
       row.pose = TelemetryPose{pose.latitude_deg, pose.longitude_deg, pose.altitude_m, pose.yaw_deg,
                                pose.pitch_deg,    pose.roll_deg,      pose.hfov_deg,   pose.vfov_deg};
       if (found_.audit.ground_known) row.ground_elevation_m = found_.audit.ground_elevation_m;

@@ -10,6 +10,7 @@
 #include "proto/trem/v1/task.pb.h"
 #include "worker/sortie/telemetry_csv.h"
 #include "worker/telemetry/telemetry_audit.h"
+#include "worker/telemetry/utc_clock.h"
 
 namespace trem {
 
@@ -19,6 +20,7 @@ struct FoundTelemetry {
   std::string path;                     // Of the file that it is in.
   std::optional<TelemetryTable> table;  // TELEMETRY_CSV and TELEMETRY_EXIF: rows by frame...
   TelemetryAudit audit;                 // ... every other source: poses by time. EXIF has this too.
+  UtcClock utc;                         // On the audit's times.
   // Seconds per unit of the frames' pts, when the audit's times are on the container's clock; 0: they are on the frames' own.
   double time_base_s = 0.0;
   std::vector<v1::Note> notes;  // What was found and left, and why.

@@ -15,8 +15,6 @@ namespace trem {
 namespace {
 
 constexpr const char* kCogType = "image/tiff; application=geotiff; profile=cloud-optimized";
-// Times before are counted from the start of the recording, not from 1970.
-constexpr double kUnixTimeLeast = 1e8;
 
 struct FileKind {
   const char* name;
@@ -75,10 +73,11 @@ Result<std::string> MakeStacItem(const StacSource& source, const v1::TaskResult&
   if (!source.alignment.georeferenced()) item.description += "; local coordinates, no place on Earth";
   item.grid = source.grid;
   item.georeferenced = source.alignment.georeferenced();
-  const auto& frames = source.manifest.frames();
-  if (!frames.empty() && frames.begin()->time_s() >= kUnixTimeLeast && frames.rbegin()->time_s() >= frames.begin()->time_s()) {
-    item.start_s = frames.begin()->time_s();
-    item.end_s = frames.rbegin()->time_s();
+  for (const v1::ManifestFrame& frame : source.manifest.frames()) {
+    if (!frame.has_utc_us()) continue;
+    const double utc_s = 1e-6 * static_cast<double>(frame.utc_us());
+    item.start_s = std::min(item.start_s.value_or(utc_s), utc_s);
+    item.end_s = std::max(item.end_s.value_or(utc_s), utc_s);
   }
   item.software = "trem";
   item.version = std::string(TREM_VERSION) + ", engine " + kEngineRevision;

@@ -36,6 +36,7 @@ v1::SortieManifest PartOf(v1::SortieManifest recording, std::uint32_t frame_begi
   for (v1::ManifestFrame& frame : *recording.mutable_frames()) {
     frame.clear_pose();
     frame.clear_corner_lon_lat_deg();
+    frame.clear_utc_us();
   }
   if (frame_begin == 0) return recording;
   google::protobuf::RepeatedPtrField<v1::ManifestFrame> frames;

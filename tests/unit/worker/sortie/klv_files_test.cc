@@ -14,6 +14,7 @@
 #include "worker/sortie/klv_telemetry.h"
 #include "worker/sortie/telemetry_sources.h"
 #include "worker/telemetry/klv_sets.h"
+#include "worker/telemetry/utc_clock.h"
 
 namespace trem {
 namespace {
@@ -77,6 +78,8 @@ TEST(KlvFiles, TheAuditFindsAbsoluteAzimuthFromGridNorthInTheFortAPHillClips) {
     ASSERT_TRUE(klv.ok()) << klv.status().message();
     ASSERT_GE(klv->chosen, 0);
     const TelemetryAudit audit = AuditTelemetry(klv->streams.at(klv->chosen).records, {});
+    // Both clips say when they were taken.
+    EXPECT_TRUE(UtcClock(klv->streams.at(klv->chosen).records).At(0.0).has_value()) << name;
     std::cout << name << ": " << audit.explanation << "\n";
     ASSERT_EQ(audit.verdict, AuditVerdict::kFits);
     EXPECT_EQ(audit.convention.azimuth, AzimuthReading::kAbsolute);
