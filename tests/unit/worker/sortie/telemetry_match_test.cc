@@ -87,6 +87,31 @@ TEST(AttachTelemetry, GivesImagesTheTimesOfTheirRows) {
   ASSERT_TRUE(AttachTelemetry(Table(rows), "t.csv", {}, &manifest).ok());
   EXPECT_NEAR(manifest.frames(1).time_s(), 100.5, 1e-12);
   EXPECT_NEAR(manifest.frames(3).time_s(), 101.5, 1e-12);
+  // Seconds from the start are no date.
+  EXPECT_FALSE(manifest.frames(0).has_utc_us());
+}
+
+TEST(AttachTelemetry, DatesFramesByRowsThatCountFrom1970) {
+  std::vector<TelemetryRow> rows = {Row("0", 0), Row("2", 4)};
+  rows[0].time_s = 1'245'257'585.25;
+  rows[1].time_s = 1'245'257'586.25;
+  v1::SortieManifest images = Manifest(v1::IMAGE_SEQUENCE, {"0.png", "1.png", "2.png"}, 0.04);
+  ASSERT_TRUE(AttachTelemetry(Table(rows), "t.csv", {}, &images).ok());
+  EXPECT_EQ(images.frames(0).utc_us(), 1'245'257'585'250'000);
+  EXPECT_EQ(images.frames(1).utc_us(), 1'245'257'585'750'000);
+  // A video keeps its own times.
+  v1::SortieManifest video = Manifest(v1::VIDEO, {"#0", "#1", "#2"}, 0.04);
+  ASSERT_TRUE(AttachTelemetry(Table(rows), "t.csv", {}, &video).ok());
+  EXPECT_EQ(video.frames(2).utc_us(), 1'245'257'586'250'000);
+  EXPECT_FALSE(video.frames(1).has_utc_us());
+  // Images that tell themselves when they were taken, with times from the first on.
+  rows[1].time_s = 1.0;
+  rows[1].utc_us = 1'245'257'586'500'000;
+  rows[0].time_s = 0.0;
+  v1::SortieManifest photographs = Manifest(v1::IMAGE_SEQUENCE, {"0.png", "1.png", "2.png"}, 0.04);
+  ASSERT_TRUE(AttachTelemetry(Table(rows), "t.csv", {}, &photographs).ok());
+  EXPECT_EQ(photographs.frames(2).utc_us(), 1'245'257'586'500'000);
+  EXPECT_FALSE(photographs.frames(0).has_utc_us());
 }
 
 TEST(AttachTelemetry, RefusesATableThatMatchesNoFrameWithAnExampleOfEach) {
